@@ -1,6 +1,7 @@
 //! Depth, normals, transmittance and error as colours.
 
 use crate::image::{Rgb8Image, to_byte};
+use crate::percentile::{DEPTH_PERCENTILES, percentiles};
 
 /// Viridis at eighths: equal steps look equally large, in grey and to colour-blind people too.
 const RAMP: [[u8; 3]; 9] = [
@@ -16,8 +17,6 @@ const RAMP: [[u8; 3]; 9] = [
 ];
 /// Smallest coverage of a pixel with a meaningful depth.
 const MIN_COVERAGE: f32 = 0.1;
-/// Shares of the covered pixels that are nearer than the start and the end of the ramp.
-const DEPTH_PERCENTILES: [f64; 2] = [0.02, 0.98];
 /// Mean absolute difference per channel at the end of the ramp of [`error`], as a share of full scale.
 pub const LARGEST_ERROR: f32 = 0.25;
 
@@ -45,10 +44,8 @@ pub fn grey(values: &[f32], width: usize, height: usize) -> Rgb8Image {
 pub fn depth(depth: &[f32], coverage: &[f32], width: usize, height: usize) -> (Rgb8Image, Option<[f32; 2]>) {
     let mean = |(&depth, &coverage): (&f32, &f32)| (coverage >= MIN_COVERAGE).then(|| depth / coverage);
     let depths: Vec<Option<f32>> = depth.iter().zip(coverage).map(mean).collect();
-    let mut sorted: Vec<f32> = depths.iter().flatten().copied().collect();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let range = (!sorted.is_empty())
-        .then(|| DEPTH_PERCENTILES.map(|fraction| sorted[(fraction * (sorted.len() - 1) as f64).round() as usize]));
+    let covered = depths.iter().flatten().map(|&depth| f64::from(depth)).collect();
+    let range = percentiles(covered, DEPTH_PERCENTILES).map(|range| range.map(|depth| depth as f32));
     let [near, far] = range.unwrap_or_default();
     let span = (far - near).max(f32::MIN_POSITIVE);
     let pixels = depths.iter().map(|depth| depth.map_or([0; 3], |depth| ramp((depth - near) / span)));

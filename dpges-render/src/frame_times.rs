@@ -9,14 +9,14 @@ use serde::Serialize;
 use crate::error::{RenderError, Result};
 use crate::headless::{Headless, PICTURE_FORMAT};
 use crate::options::RenderOptions;
+use crate::percentile::percentiles;
 use crate::renderer::Renderer;
-use crate::targets;
+use crate::texture::{size, texture};
 
 /// Times of frames, ms. A frame ends when the device has finished it, so that nothing of it overlaps with the next.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrameTimes {
     pub frames: usize,
-    /// 1000 / mean time
     pub frames_per_second: f64,
     pub p50_ms: f64,
     pub p99_ms: f64,
@@ -28,11 +28,9 @@ pub struct FrameTimes {
 pub struct PassShare {
     pub name: &'static str,
     pub p50_ms: f64,
-    /// Share of the sum over the passes.
     pub share: f64,
 }
 
-/// How many frames are measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rounds {
     /// Rounds over the cameras that are not counted.
@@ -51,17 +49,14 @@ pub fn frame_times(
     options: &RenderOptions,
     rounds: Rounds,
 ) -> Result<FrameTimes> {
-    let (device, queue) = (headless.device(), headless.queue());
+    let device = headless.device();
     let (mut times, mut passes) = (Vec::new(), Vec::new());
     for round in 0..rounds.warm_up + rounds.counted {
         for camera in cameras {
-            let (width, height) = (camera.width as u32, camera.height as u32);
-            let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-            let target = targets::texture(device, size, PICTURE_FORMAT, wgpu::TextureUsages::empty());
+            let size = size(camera.width as u32, camera.height as u32);
+            let target = texture(device, size, PICTURE_FORMAT, wgpu::TextureUsages::RENDER_ATTACHMENT);
             let start = Instant::now();
-            let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-            renderer.render(&mut encoder, &targets::view(&target), camera, options)?;
-            queue.submit([encoder.finish()]);
+            renderer.submit(&target, camera, options)?;
             device.poll(wgpu::PollType::wait_indefinitely()).map_err(|error| RenderError::Device(error.to_string()))?;
             let milliseconds = 1e3 * start.elapsed().as_secs_f64();
             renderer.finish_frame();
@@ -74,7 +69,8 @@ pub fn frame_times(
     let mut shares: Vec<PassShare> = Vec::new();
     for pass in passes.first().into_iter().flatten() {
         let of = passes.iter().flatten().filter(|other| other.name == pass.name).map(|other| other.milliseconds);
-        shares.push(PassShare { name: pass.name, p50_ms: percentile(of.collect(), 0.5), share: 0.0 });
+        let [p50_ms] = percentiles(of.collect(), [0.5]).expect("the first frame has this pass");
+        shares.push(PassShare { name: pass.name, p50_ms, share: 0.0 });
     }
     let sum: f64 = shares.iter().map(|pass| pass.p50_ms).sum();
     shares.iter_mut().for_each(|pass| pass.share = pass.p50_ms / sum);
@@ -82,9 +78,6 @@ pub fn frame_times(
 }
 
 /// [`frame_times`] of `scene` with its own options, from `cameras` without their lenses.
-///
-/// # Errors
-/// The errors of [`frame_times`] and of [`Renderer::upload`].
 pub fn scene_frame_times(
     headless: &Headless,
     scene: &SceneData,
@@ -99,24 +92,11 @@ pub fn scene_frame_times(
 
 impl FrameTimes {
     /// From the times of frames, ms.
-    ///
-    /// # Panics
-    /// Without any.
     pub fn new(times: Vec<f64>, passes: Vec<PassShare>) -> Self {
-        let mean = times.iter().sum::<f64>() / times.len() as f64;
-        Self {
-            frames: times.len(),
-            frames_per_second: 1e3 / mean,
-            p50_ms: percentile(times.clone(), 0.5),
-            p99_ms: percentile(times, 0.99),
-            passes,
-        }
+        let (frames, mean) = (times.len(), times.iter().sum::<f64>() / times.len() as f64);
+        let [p50_ms, p99_ms] = percentiles(times, [0.5, 0.99]).expect("there are times");
+        Self { frames, frames_per_second: 1e3 / mean, p50_ms, p99_ms, passes }
     }
-}
-
-fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values[(share * (values.len() - 1) as f64).round() as usize]
 }
 
 #[cfg(test)]

@@ -8,14 +8,12 @@ use crate::error::{RenderError, Result};
 use crate::image::Rgb8Image;
 use crate::options::{DepthSource, Precision, RenderOptions};
 use crate::renderer::Renderer;
-use crate::{readback, targets};
 
-/// An adapter and its device.
 #[derive(Clone, Debug)]
 pub struct Headless {
     adapter: wgpu::AdapterInfo,
-    /// Whether pictures can have 32-bit floats.
-    draws_floats: bool,
+    /// Format of pictures that are not rounded to bytes.
+    floats: wgpu::TextureFormat,
     device: wgpu::Device,
     queue: wgpu::Queue,
 }
@@ -27,34 +25,22 @@ impl Headless {
     /// # Errors
     /// [`RenderError::NoAdapter`], [`RenderError::Adapter`].
     pub fn new() -> Result<Self> {
-        pollster::block_on(Self::open())
-    }
-
-    async fn open() -> Result<Self> {
         let descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
         let instance = wgpu::Instance::new(descriptor);
         let wanted = wgpu::RequestAdapterOptions {
             power_preference: wgpu::PowerPreference::HighPerformance,
             ..wgpu::RequestAdapterOptions::default()
         };
-        let adapter = match wgpu::util::initialize_adapter_from_env(&instance, None).await {
+        let adapter = match pollster::block_on(wgpu::util::initialize_adapter_from_env(&instance, None)) {
             Ok(adapter) => adapter,
-            Err(_) => {
-                instance.request_adapter(&wanted).await.map_err(|error| RenderError::NoAdapter(error.to_string()))?
-            }
+            Err(_) => pollster::block_on(instance.request_adapter(&wanted))
+                .map_err(|error| RenderError::NoAdapter(error.to_string()))?,
         };
-        Self::open_on(&adapter).await
+        Self::on(&adapter)
     }
 
     /// Another device of `adapter`.
-    ///
-    /// # Errors
-    /// [`RenderError::Adapter`].
     pub fn on(adapter: &wgpu::Adapter) -> Result<Self> {
-        pollster::block_on(Self::open_on(adapter))
-    }
-
-    async fn open_on(adapter: &wgpu::Adapter) -> Result<Self> {
         Renderer::check_adapter(adapter)?;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("dpges"),
@@ -68,8 +54,9 @@ impl Headless {
         };
         let usages = adapter.get_texture_format_features(wgpu::TextureFormat::Rgba32Float).allowed_usages;
         let draws_floats = usages.contains(wgpu::TextureUsages::RENDER_ATTACHMENT);
-        let (device, queue) = adapter.request_device(&descriptor).await.map_err(refused)?;
-        Ok(Self { adapter: adapter.get_info(), draws_floats, device, queue })
+        let floats = if draws_floats { wgpu::TextureFormat::Rgba32Float } else { wgpu::TextureFormat::Rgba16Float };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(refused)?;
+        Ok(Self { adapter: adapter.get_info(), floats, device, queue })
     }
 
     pub fn device(&self) -> &wgpu::Device {
@@ -80,7 +67,6 @@ impl Headless {
         &self.queue
     }
 
-    /// Name and interface of the adapter.
     pub fn adapter_name(&self) -> String {
         format!("{} ({})", self.adapter.name, self.adapter.backend)
     }
@@ -100,17 +86,11 @@ impl Headless {
     }
 
     /// A renderer for [`picture`](Self::picture) with the best precision of the device.
-    ///
-    /// # Errors
-    /// The errors of [`Renderer::new`].
     pub fn renderer(&self) -> Result<Renderer> {
         self.renderer_with(None)
     }
 
     /// [`renderer`](Self::renderer) with `precision`, if that is given.
-    ///
-    /// # Errors
-    /// The errors of [`Renderer::new`].
     pub fn renderer_with(&self, precision: Option<Precision>) -> Result<Renderer> {
         let precision = precision.unwrap_or_else(|| Renderer::best_precision(&self.device));
         let depths = Renderer::best_depths(&self.device);
@@ -122,15 +102,10 @@ impl Headless {
     /// # Errors
     /// The errors of [`Renderer::render`]; [`RenderError::Device`] if it cannot be read back.
     pub fn draw(&self, renderer: &mut Renderer, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
-        let bytes = self.bytes(renderer, camera, options, PICTURE_FORMAT)?;
-        let pixels = bytes.chunks_exact(4).map(|rgba| [rgba[0], rgba[1], rgba[2]]);
-        Ok(Rgb8Image::from_pixels(camera.width, camera.height, pixels))
+        renderer.picture(camera, options)
     }
 
     /// The picture of `scene` from `camera`.
-    ///
-    /// # Errors
-    /// The errors of [`Renderer::upload`] and [`draw`](Self::draw).
     pub fn picture(&self, scene: &SceneData, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
         let mut renderer = self.renderer()?;
         renderer.upload(scene)?;
@@ -138,55 +113,21 @@ impl Headless {
     }
 
     /// A renderer for [`planes`](Self::planes), with sums of `precision` and depths from `depths`.
-    ///
-    /// # Errors
-    /// The errors of [`Renderer::new`].
     pub fn float_renderer(&self, precision: Precision, depths: DepthSource) -> Result<Renderer> {
-        Renderer::new(&self.device, &self.queue, self.float_format(), precision, depths)
+        Renderer::new(&self.device, &self.queue, self.floats, precision, depths)
     }
 
     /// The planes [3, H, W] of a picture of the scene that `renderer` holds, not clamped and not rounded to bytes. It must be a
     /// [`float_renderer`](Self::float_renderer). Where the device cannot draw into 32-bit floats, numbers are rounded to 16 bits.
-    ///
-    /// # Errors
-    /// The errors of [`draw`](Self::draw).
     pub fn planes(&self, renderer: &mut Renderer, camera: &Camera, options: &RenderOptions) -> Result<Vec<f32>> {
-        let bytes = self.bytes(renderer, camera, options, self.float_format())?;
-        let numbers: Vec<f32> = if self.draws_floats {
+        let bytes = renderer.texels(camera, options)?;
+        let numbers: Vec<f32> = if self.floats == wgpu::TextureFormat::Rgba32Float {
             bytemuck::pod_collect_to_vec(&bytes)
         } else {
             bytes.as_chunks::<2>().0.iter().map(|&half| f16::from_le_bytes(half).to_f32()).collect()
         };
         let (pixels, _) = numbers.as_chunks::<4>();
         Ok((0..3).flat_map(|channel| pixels.iter().map(move |pixel| pixel[channel])).collect())
-    }
-
-    fn float_format(&self) -> wgpu::TextureFormat {
-        if self.draws_floats { wgpu::TextureFormat::Rgba32Float } else { wgpu::TextureFormat::Rgba16Float }
-    }
-
-    pub(crate) fn bytes(
-        &self,
-        renderer: &mut Renderer,
-        camera: &Camera,
-        options: &RenderOptions,
-        format: wgpu::TextureFormat,
-    ) -> Result<Vec<u8>> {
-        camera.validate()?;
-        camera.require_pinhole()?;
-        let (width, height) = (camera.width as u32, camera.height as u32);
-        let side_px = self.device.limits().max_texture_dimension_2d;
-        if width.max(height) > side_px {
-            return Err(RenderError::PictureTooLarge { width: camera.width, height: camera.height, side_px });
-        }
-        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-        let target = targets::texture(&self.device, size, format, wgpu::TextureUsages::COPY_SRC);
-        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        renderer.render(&mut encoder, &targets::view(&target), camera, options)?;
-        self.queue.submit([encoder.finish()]);
-        renderer.finish_frame();
-        let failed = || RenderError::Device("the picture could not be read back".to_owned());
-        readback::texels(&self.device, &self.queue, &target, wgpu::Origin3d::ZERO, [width, height]).ok_or_else(failed)
     }
 }
 

@@ -3,7 +3,6 @@
 /// Width of the line between pictures that stand side by side, px.
 const SEPARATOR: usize = 2;
 
-/// A picture of 8-bit red, green and blue.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rgb8Image {
     /// px
@@ -34,16 +33,11 @@ impl Rgb8Image {
         let height = images.iter().map(|image| image.height).min().unwrap_or(0);
         let separators = SEPARATOR * images.len().saturating_sub(1);
         let width = images.iter().map(|image| image.width).sum::<usize>() + separators;
-        let mut bytes = Vec::with_capacity(3 * width * height);
-        for y in 0..height {
-            for (index, image) in images.iter().enumerate() {
-                if index > 0 {
-                    bytes.extend([255; 3 * SEPARATOR]);
-                }
-                bytes.extend(&image.bytes[3 * y * image.width..3 * (y + 1) * image.width]);
-            }
-        }
-        Self { width, height, bytes }
+        let row = |y: usize| {
+            let parts = images.iter().map(|image| &image.bytes[3 * y * image.width..3 * (y + 1) * image.width]);
+            parts.collect::<Vec<_>>().join(&[255; 3 * SEPARATOR][..])
+        };
+        Self { width, height, bytes: (0..height).flat_map(row).collect() }
     }
 
     /// Joins pictures of the same width from top to bottom, with a thin white line between them.
@@ -51,19 +45,15 @@ impl Rgb8Image {
         let width = images.iter().map(|image| image.width).min().unwrap_or(0);
         let separators = SEPARATOR * images.len().saturating_sub(1);
         let height = images.iter().map(|image| image.height).sum::<usize>() + separators;
-        let mut bytes = Vec::with_capacity(3 * width * height);
-        for (index, image) in images.iter().enumerate() {
-            if index > 0 {
-                bytes.extend(std::iter::repeat_n(255, 3 * SEPARATOR * width));
-            }
-            let rows = image.bytes.chunks_exact(3 * image.width.max(1));
-            bytes.extend(rows.flat_map(|row| &row[..3 * width]));
-        }
-        Self { width, height, bytes }
+        let rows = |image: &Self| {
+            let rows = image.bytes.chunks_exact(3 * image.width.max(1)).map(|row| &row[..3 * width]);
+            rows.collect::<Vec<_>>().concat()
+        };
+        let parts: Vec<Vec<u8>> = images.iter().map(rows).collect();
+        Self { width, height, bytes: parts.join(&vec![255; 3 * SEPARATOR * width][..]) }
     }
 }
 
-/// Clamps to [0, 1] and rounds to a byte.
 pub(crate) fn to_byte(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8
 }

@@ -38,15 +38,17 @@
 //! | pollster | waiting for a device without a window |
 //! | serde, serde_json | files of camera paths |
 //! | thiserror | errors |
-//! | zstd, flate2, gltf-json, fast-surface-nets, rayon | feature `export`: the formats, the surface of a mesh |
+//! | zstd, flate2, fast-surface-nets, rayon | feature `export`: the formats, the surface of a mesh |
 //! | ureq | feature `http`: cells of scenes in levels of detail from web servers |
 //! | eframe, egui, egui_plot, rfd, image | feature `viewer`: the window, its graph, dialogs, screenshots |
-//! | egui_kittest, libtest-mimic, serde-ply, safetensors, tempfile, approx | tests |
+//! | egui_kittest, gltf-json, libtest-mimic, serde-ply, safetensors, tempfile, approx | tests |
 
 pub mod error;
 #[cfg(feature = "export")]
 pub mod export;
 pub mod false_colour;
+#[cfg(test)]
+mod fixtures;
 #[cfg(not(target_arch = "wasm32"))]
 pub mod frame_times;
 mod groups;
@@ -59,12 +61,13 @@ mod options;
 mod order;
 mod passes;
 pub mod path;
+mod percentile;
 mod profile;
-mod readback;
 mod renderer;
 mod scene;
 pub mod stream;
 mod targets;
+mod texture;
 #[cfg(feature = "viewer")]
 pub mod viewer;
 

@@ -5,7 +5,6 @@ use std::fmt;
 use dpges_core::Error;
 use dpges_core::scene::{Footprint, SceneInfo};
 
-/// Largest number of layers that are peeled.
 pub const MAX_LAYERS: usize = 4;
 
 /// Bits per channel of the sums of Gaussians.
@@ -27,7 +26,6 @@ pub enum DepthSource {
     Computed,
 }
 
-/// The content of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Display {

@@ -22,21 +22,12 @@ mod tests {
     use glam::{DMat3, DVec3};
 
     use super::*;
+    use crate::fixtures::pinhole;
 
     #[test]
     fn the_furthest_comes_first_and_nothing_behind_the_near_plane() {
         let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::new(0.0, 0.0, 1.0) };
-        let camera = Camera {
-            camera_from_world: pose,
-            fx: 1.0,
-            fy: 1.0,
-            cx: 0.0,
-            cy: 0.0,
-            width: 1,
-            height: 1,
-            near: 0.5,
-            lens: None,
-        };
+        let camera = Camera { near: 0.5, ..pinhole(pose, 1.0, [1, 1]) };
         let positions = [[9.0, 0.0, 1.0], [0.0, 0.0, 5.0], [0.0, 0.0, -0.6], [0.0, 7.0, 1.0], [0.0, 0.0, -3.0]];
         assert_eq!(back_to_front(&positions, &camera), [1, 3, 0]);
     }

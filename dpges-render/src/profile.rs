@@ -4,7 +4,6 @@ use wgpu_profiler::{GpuProfiler, GpuProfilerQuery, GpuProfilerSettings};
 
 use crate::error::{RenderError, Result};
 
-/// Passes in their order.
 const NAMES: [&str; 7] = ["colours", "project", "peel", "resolve", "splat", "sorted", "present"];
 
 /// The time of a pass of one frame; that of the peels is their sum.
@@ -14,7 +13,6 @@ pub struct PassTime {
     pub milliseconds: f64,
 }
 
-/// Measures passes where the device has timestamps.
 pub(crate) struct Profile {
     profiler: Option<GpuProfiler>,
     last: Vec<PassTime>,

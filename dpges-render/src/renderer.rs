@@ -12,15 +12,15 @@ use wgpu::util::DeviceExt;
 
 use crate::error::{RenderError, Result};
 use crate::groups::Groups;
+use crate::image::Rgb8Image;
 use crate::options::{DepthSource, Display, Precision, RenderOptions};
 use crate::order::back_to_front;
-use crate::passes::{DRAWN_FORMATS, Fading, Frame, Kit, ORDER_FORMAT, Passes, Switches, textures_group};
+use crate::passes::{DRAWN_FORMATS, Fading, Frame, Kit, ORDER_FORMAT, Passes, textures_group};
+use crate::percentile::{DEPTH_PERCENTILES, percentiles};
 use crate::profile::{PassTime, Profile};
-use crate::scene::{Fades, Grid, SceneTextures};
-use crate::targets::{PerPrimitive, Targets, texture, view};
-
-/// Shares of the primitives before the camera that are nearer than the ends of the colour ramp of depths.
-const DEPTH_PERCENTILES: [f64; 2] = [0.02, 0.98];
+use crate::scene::{Fades, Grid, PackedCell, Places, SceneTextures, write};
+use crate::targets::{PerPrimitive, Targets};
+use crate::texture::{size, texels, texture};
 
 /// Draws one scene at a time. Works on any device of wgpu, with the limits of WebGL2.
 #[derive(Debug)]
@@ -47,9 +47,7 @@ struct Uploaded {
     per_primitive: PerPrimitive,
     /// Positions of Gaussians that are blended in an order; empty if none is needed.
     positions: Vec<[f32; 3]>,
-    /// The surfels and the Gaussians that are drawn.
-    drawn: [Vec<Range<u32>>; 2],
-    /// Factors of pages, where the scene has pages.
+    drawn: Places,
     fades: Option<Fades>,
 }
 
@@ -133,7 +131,6 @@ impl Renderer {
         })
     }
 
-    /// The highest precision that `device` can do.
     pub fn best_precision(device: &wgpu::Device) -> Precision {
         if device.features().contains(wgpu::Features::FLOAT32_BLENDABLE) { Precision::Float } else { Precision::Half }
     }
@@ -180,19 +177,15 @@ impl Renderer {
         check_drawn(&scene.info)?;
         let is_sorted = scene.info.rendering != Rendering::Peeled;
         let positions = if is_sorted { scene.gaussians.positions.as_chunks::<3>().0.to_vec() } else { Vec::new() };
-        let textures = SceneTextures::new(&self.device, &self.queue, scene)?;
-        let drawn = [&textures.surfels, &textures.gaussians].map(|kind| once(0..kind.count as u32).collect());
+        let counts = [scene.surfels.len(), scene.gaussians.len()];
+        let textures = SceneTextures::with_room(&self.device, scene, counts)?;
+        let drawn = counts.map(|count| once(0..count as u32).collect());
+        PackedCell::new(scene).write(&self.queue, &textures, &drawn);
         self.take(textures, positions, drawn, None);
         Ok(())
     }
 
-    fn take(
-        &mut self,
-        textures: SceneTextures,
-        positions: Vec<[f32; 3]>,
-        drawn: [Vec<Range<u32>>; 2],
-        fades: Option<Fades>,
-    ) {
+    fn take(&mut self, textures: SceneTextures, positions: Vec<[f32; 3]>, drawn: Places, fades: Option<Fades>) {
         let fading = if fades.is_some() { Fading::Paged } else { Fading::Whole };
         if self.fading != fading {
             let kit = Kit { device: &self.device, frame: &self.frame_layout };
@@ -230,14 +223,9 @@ impl Renderer {
         camera: &Camera,
         options: &RenderOptions,
     ) -> Result<()> {
-        camera.validate()?;
-        camera.require_pinhole()?;
+        self.check(camera)?;
         options.validate()?;
         let rendering = self.scene.as_ref().ok_or(RenderError::NoScene)?.textures.info.rendering;
-        let side_px = self.device.limits().max_texture_dimension_2d;
-        if camera.width.max(camera.height) > side_px as usize {
-            return Err(RenderError::PictureTooLarge { width: camera.width, height: camera.height, side_px });
-        }
         use Display::{Gaussians, Image, Overdraw, Transmittance};
         if rendering != Rendering::Peeled && !matches!(options.display, Image | Gaussians | Transmittance | Overdraw) {
             return Err(RenderError::Display { display: options.display, rendering });
@@ -247,12 +235,52 @@ impl Renderer {
         if rendering == Rendering::Peeled {
             self.peeled(encoder, &frame, options);
         } else {
-            self.sorted(encoder, &frame, camera, options, rendering);
+            self.sorted(encoder, &frame, camera, options);
         }
-        self.present(encoder, &frame, target, camera, rendering, options.display);
+        self.present(encoder, &frame, target, camera, options.display);
         self.profile.resolve(encoder);
         self.last = Some((camera.near, if rendering == Rendering::Peeled { options.layer_count } else { 0 }));
         Ok(())
+    }
+
+    fn check(&self, camera: &Camera) -> Result<()> {
+        camera.validate()?;
+        camera.require_pinhole()?;
+        let side_px = self.device.limits().max_texture_dimension_2d;
+        if camera.width.max(camera.height) > side_px as usize {
+            return Err(RenderError::PictureTooLarge { width: camera.width, height: camera.height, side_px });
+        }
+        Ok(())
+    }
+
+    /// Records a picture as [`render`](Self::render) does, and submits it.
+    pub fn submit(&mut self, target: &wgpu::TextureView, camera: &Camera, options: &RenderOptions) -> Result<()> {
+        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.render(&mut encoder, target, camera, options)?;
+        self.queue.submit([encoder.finish()]);
+        Ok(())
+    }
+
+    /// The texels of a picture, row by row. Waits for the GPU, which browsers do not allow.
+    ///
+    /// # Errors
+    /// The errors of [`render`](Self::render); [`RenderError::Device`] if it cannot be read back.
+    pub fn texels(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Vec<u8>> {
+        self.check(camera)?;
+        let size = size(camera.width as u32, camera.height as u32);
+        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
+        let target = texture(&self.device, size, self.format, usage);
+        self.submit(&target, camera, options)?;
+        self.finish_frame();
+        let failed = || RenderError::Device("the picture could not be read back".to_owned());
+        texels(&self.device, &self.queue, target.texture(), wgpu::Origin3d::ZERO, size).ok_or_else(failed)
+    }
+
+    /// A picture, of a renderer into four bytes: red, green, blue, opacity. Waits as [`texels`](Self::texels) does.
+    pub fn picture(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
+        let texels = self.texels(camera, options)?;
+        let pixels = texels.as_chunks::<4>().0.iter().map(|&[red, green, blue, _]| [red, green, blue]);
+        Ok(Rgb8Image::from_pixels(camera.width, camera.height, pixels))
     }
 
     /// After the submission of what [`render`](Self::render) recorded: takes the times of finished frames.
@@ -270,20 +298,19 @@ impl Renderer {
     pub fn depth_at(&self, x_px: u32, y_px: u32) -> Option<f64> {
         let targets = self.targets.as_ref()?;
         let (near, layers) = self.last?;
-        if layers == 0 || x_px >= targets.width || y_px >= targets.height {
+        if layers == 0 || x_px >= targets.size.width || y_px >= targets.size.height {
             return None;
         }
         let origin = wgpu::Origin3d { x: x_px, y: y_px, z: 0 };
-        let bytes = crate::readback::texels(&self.device, &self.queue, &targets.layers[0].texture, origin, [1, 1])?;
+        let layer = targets.layers[0].nearest.texture();
+        let bytes = texels(&self.device, &self.queue, layer, origin, size(1, 1))?;
         let words: &[u32] = bytemuck::cast_slice(&bytes);
         let depth = near / f64::from(f32::from_bits(words[0]));
         (words[1] != u32::MAX && depth.is_finite()).then_some(depth)
     }
 
-    /// Targets of this size, and groups that bind them.
     fn prepare(&mut self, width: u32, height: u32) {
-        let fits = |targets: &Targets| (targets.width, targets.height) == (width, height);
-        if !self.targets.as_ref().is_some_and(fits) {
+        if self.targets.as_ref().is_none_or(|targets| targets.size != size(width, height)) {
             self.targets = Some(Targets::new(&self.device, width, height, self.sums));
             self.groups = None;
         }
@@ -298,8 +325,7 @@ impl Renderer {
         let (scene, _, _) = self.prepared();
         let depths =
             if options.display == Display::Depth { depth_range(&scene.textures.sample, camera) } else { [0.0; 2] };
-        let switches = Switches { encode_srgb: self.format.is_srgb() };
-        let frame = Frame::new(&scene.textures, camera, options, depths, switches);
+        let frame = Frame::new(&scene.textures, camera, options, depths, self.format.is_srgb());
         let buffer = self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: Some("frame"),
             contents: bytemuck::bytes_of(&frame),
@@ -390,12 +416,11 @@ impl Renderer {
         frame: &wgpu::BindGroup,
         camera: &Camera,
         options: &RenderOptions,
-        rendering: Rendering,
     ) {
         let (scene, targets, groups) = self.prepared();
         let (passes, per_primitive, gaussians) = (&self.passes, &scene.per_primitive, &scene.textures.gaussians);
         let zero = wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT);
-        let discs = rendering == Rendering::Discs;
+        let discs = scene.textures.info.rendering == Rendering::Discs;
         if discs {
             self.pass(encoder, "colours", &[(&per_primitive.colours, zero)], None, |pass| {
                 draw(pass, &passes.colours.pipeline, [frame, &groups.colours], 3, ONCE);
@@ -407,15 +432,10 @@ impl Renderer {
             });
         }
         let order = back_to_front(&scene.positions, camera);
-        let list = self.order_texture(gaussians.grid, &order);
-        let views = [
-            &list,
-            &per_primitive.firsts,
-            &per_primitive.seconds,
-            &gaussians.places,
-            &gaussians.forms,
-            &per_primitive.colours,
-        ];
+        let list = gaussians.grid.texture(&self.device, ORDER_FORMAT);
+        write(&self.queue, &list, gaussians.grid, 0, &order);
+        let PerPrimitive { colours, firsts, seconds } = per_primitive;
+        let views = [&list, firsts, seconds, &gaussians.places, &gaussians.forms, colours];
         let group = textures_group(&self.device, &passes.sorted.layout, &views);
         let pipeline = match (discs, options.display == Display::Overdraw) {
             (true, false) => &passes.sorted.discs,
@@ -428,37 +448,20 @@ impl Renderer {
         });
     }
 
-    fn order_texture(&self, grid: Grid, order: &[u32]) -> wgpu::TextureView {
-        let mut texels = order.to_vec();
-        texels.resize(grid.len(), 0);
-        let list = texture(
-            &self.device,
-            grid.size(),
-            ORDER_FORMAT,
-            wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-        );
-        let layout =
-            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 << grid.log2_width), rows_per_image: None };
-        self.queue.write_texture(list.as_image_copy(), bytemuck::cast_slice(&texels), layout, grid.size());
-        view(&list)
-    }
-
     fn present(
         &self,
         encoder: &mut wgpu::CommandEncoder,
         frame: &wgpu::BindGroup,
         target: &wgpu::TextureView,
         camera: &Camera,
-        rendering: Rendering,
         display: Display,
     ) {
-        let (_, _, groups) = self.prepared();
+        let (scene, _, groups) = self.prepared();
         let present = &self.passes.present;
-        let pipeline = match (rendering, display) {
-            (Rendering::Peeled, Display::Image) => &present.image,
-            (Rendering::Peeled, _) => &present.peeled,
-            // the others are not uploaded
-            (Rendering::Ellipsoids | Rendering::Discs | Rendering::Students | Rendering::Summed, _) => &present.blended,
+        let pipeline = match (scene.textures.is_peeled(), display) {
+            (true, Display::Image) => &present.image,
+            (true, _) => &present.peeled,
+            (false, _) => &present.blended,
         };
         self.pass(encoder, "present", &[(target, wgpu::LoadOp::Load)], None, |pass| {
             pass.set_viewport(0.0, 0.0, camera.width as f32, camera.height as f32, 0.0, 1.0);
@@ -506,7 +509,6 @@ const NOTHING: wgpu::Color = {
     wgpu::Color { r: 0.0, g: all, b: 0.0, a: 0.0 }
 };
 
-/// The instances of what is drawn once.
 const ONCE: &[Range<u32>] = &[Range { start: 0, end: 1 }];
 
 fn draw(
@@ -528,11 +530,7 @@ fn length(ranges: &[Range<u32>]) -> usize {
     ranges.iter().map(Range::len).sum()
 }
 
-/// Depths at the ends of the colour ramp.
 fn depth_range(positions: &[[f32; 3]], camera: &Camera) -> [f64; 2] {
     let depths = positions.iter().map(|position| camera.depth(position.map(f64::from).into()));
-    let mut sorted: Vec<f64> = depths.filter(|&depth| depth > camera.near).collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let at = |share: f64| sorted[(share * (sorted.len() - 1) as f64).round() as usize];
-    if sorted.is_empty() { [0.0, 1.0] } else { DEPTH_PERCENTILES.map(at) }
+    percentiles(depths.filter(|&depth| depth > camera.near).collect(), DEPTH_PERCENTILES).unwrap_or([0.0, 1.0])
 }

@@ -1,23 +1,23 @@
 //! The textures that a picture of one size goes through.
 
+use wgpu::TextureUsages as Usage;
+
 use crate::options::MAX_LAYERS;
 use crate::passes::{
     COLOUR_FORMAT, DEPTH_FORMAT, INTERVAL_FORMAT, LAYER_FORMAT, OPACITY_FORMAT, RECORD_FORMAT, THIRD_FORMAT,
 };
 use crate::scene::{Grid, SceneTextures};
+use crate::texture::{size, texture};
 
-/// A layer of every pixel.
 #[derive(Debug)]
 pub(crate) struct Layer {
-    pub texture: wgpu::Texture,
     pub nearest: wgpu::TextureView,
     pub opacity: wgpu::TextureView,
 }
 
 #[derive(Debug)]
 pub(crate) struct Targets {
-    pub width: u32,
-    pub height: u32,
+    pub size: wgpu::Extent3d,
     pub layers: Vec<Layer>,
     /// The nearest opaque fragment of every pixel, as a layer.
     pub cores: wgpu::TextureView,
@@ -28,7 +28,6 @@ pub(crate) struct Targets {
     pub sums: wgpu::TextureView,
 }
 
-/// Values of each primitive for one camera.
 #[derive(Debug)]
 pub(crate) struct PerPrimitive {
     /// Colours of surfels, or of discs.
@@ -37,43 +36,22 @@ pub(crate) struct PerPrimitive {
     pub seconds: wgpu::TextureView,
 }
 
-pub(crate) fn texture(
-    device: &wgpu::Device,
-    size: wgpu::Extent3d,
-    format: wgpu::TextureFormat,
-    more: wgpu::TextureUsages,
-) -> wgpu::Texture {
-    device.create_texture(&wgpu::TextureDescriptor {
-        label: None,
-        size,
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage: wgpu::TextureUsages::RENDER_ATTACHMENT | more,
-        view_formats: &[],
-    })
-}
-
-pub(crate) fn view(texture: &wgpu::Texture) -> wgpu::TextureView {
-    texture.create_view(&wgpu::TextureViewDescriptor::default())
-}
+/// What passes draw into, and others read.
+const DRAWN_AND_READ: Usage = Usage::RENDER_ATTACHMENT.union(Usage::TEXTURE_BINDING);
 
 impl Targets {
     pub fn new(device: &wgpu::Device, width: u32, height: u32, sums: wgpu::TextureFormat) -> Self {
-        use wgpu::TextureUsages as Usage;
-        let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
-        let full = |format| view(&texture(device, size, format, Usage::TEXTURE_BINDING));
-        let layer = |_| {
-            let texture = texture(device, size, LAYER_FORMAT, Usage::TEXTURE_BINDING | Usage::COPY_SRC);
-            Layer { nearest: view(&texture), texture, opacity: full(OPACITY_FORMAT) }
+        let size = size(width, height);
+        let full = |format| texture(device, size, format, DRAWN_AND_READ);
+        let layer = |_| Layer {
+            nearest: texture(device, size, LAYER_FORMAT, DRAWN_AND_READ | Usage::COPY_SRC),
+            opacity: full(OPACITY_FORMAT),
         };
         Self {
-            width,
-            height,
+            size,
             layers: (0..MAX_LAYERS).map(layer).collect(),
             cores: full(LAYER_FORMAT),
-            depth: view(&texture(device, size, DEPTH_FORMAT, Usage::empty())),
+            depth: texture(device, size, DEPTH_FORMAT, Usage::RENDER_ATTACHMENT),
             surfels: full(COLOUR_FORMAT),
             intervals: full(INTERVAL_FORMAT),
             thirds: full(THIRD_FORMAT),
@@ -84,7 +62,7 @@ impl Targets {
 
 impl PerPrimitive {
     pub fn new(device: &wgpu::Device, scene: &SceneTextures) -> Self {
-        let of = |grid: Grid, format| view(&texture(device, grid.size(), format, wgpu::TextureUsages::TEXTURE_BINDING));
+        let of = |grid: Grid, format| texture(device, grid.size(), format, DRAWN_AND_READ);
         let coloured = if scene.is_peeled() { scene.surfels.grid } else { scene.gaussians.grid };
         Self {
             colours: of(coloured, COLOUR_FORMAT),

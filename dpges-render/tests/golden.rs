@@ -189,17 +189,10 @@ fn a_rim_at_the_depth_of_the_core_is_before_it_by_index(headless: &Headless) -> 
         [[3.0 * sigma, 0.0, 0.0], [0.0; 3], [0.0; 3]].as_flattened().iter().map(|&x| x as f32).collect();
     surfels.log_scales.fill(sigma.ln() as f32);
     surfels.colour.base = vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let camera = Camera {
-        camera_from_world: CameraFromWorld::look_at(DVec3::Z * 4.0, DVec3::ZERO, DVec3::Y),
-        fx: 10.0,
-        fy: 10.0,
-        cx: 4.5,
-        cy: 4.5,
-        width: 9,
-        height: 9,
-        near: 0.01,
-        lens: None,
-    };
+    let camera_from_world = CameraFromWorld::look_at(DVec3::Z * 4.0, DVec3::ZERO, DVec3::Y);
+    let (f, c, size) = (10.0, 4.5, 9);
+    let camera =
+        Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: size, height: size, near: 0.01, lens: None };
     let [rim, green, blue] = [0, 1, 2];
     let expected = [
         ([rim, green, blue], [1.0 - through, through, 0.0]),
@@ -277,12 +270,12 @@ fn main() -> ExitCode {
             trial(name, Box::new(move |headless| agrees(headless, &path)))
         })
         .collect();
-    trials.push(trial("order_does_not_matter".to_owned(), Box::new(order_does_not_matter)));
-    trials.push(trial(
-        "a_rim_at_the_depth_of_the_core_is_before_it_by_index".to_owned(),
-        Box::new(a_rim_at_the_depth_of_the_core_is_before_it_by_index),
-    ));
-    trials.push(trial("displays_differ".to_owned(), Box::new(displays_differ)));
-    trials.push(trial("a_lens_is_refused_by_name".to_owned(), Box::new(a_lens_is_refused_by_name)));
+    let others: [(&str, fn(&Headless) -> Result<(), Failed>); 4] = [
+        ("order_does_not_matter", order_does_not_matter),
+        ("a_rim_at_the_depth_of_the_core_is_before_it_by_index", a_rim_at_the_depth_of_the_core_is_before_it_by_index),
+        ("displays_differ", displays_differ),
+        ("a_lens_is_refused_by_name", a_lens_is_refused_by_name),
+    ];
+    trials.extend(others.map(|(name, test)| trial(name.to_owned(), Box::new(test))));
     libtest_mimic::run(&arguments, trials).exit_code()
 }

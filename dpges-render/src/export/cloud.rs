@@ -8,7 +8,7 @@ use super::harmonics::{HarmonicsRotation, coefficient_count};
 /// N ellipsoids that are sorted by depth and blended one over the other (3DGS).
 ///
 /// [`flatten`](super::flatten()) makes it of a scene.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplatCloud {
     /// `[N]` centres, world units.
     pub positions: Vec<[f32; 3]>,

@@ -26,6 +26,7 @@ use dpges_core::scene::{GaussianData, Rendering, SceneData};
 use super::cloud::SplatCloud;
 use super::error::ExportError;
 use super::harmonics::{MAX_DEGREE, coefficient_count, coefficients};
+use crate::scene::unit_quaternion;
 
 /// Rasterisers cap opacity here (3DGS), and its logit stays finite.
 pub const LARGEST_OPACITY: f32 = 0.99;
@@ -52,15 +53,8 @@ pub fn flatten(scene: &SceneData, degree: usize) -> Result<SplatCloud, ExportErr
         Rendering::Peeled | Rendering::Ellipsoids | Rendering::Discs => {}
     }
     let count = scene.surfels.len() + scene.gaussians.len();
-    let mut cloud = SplatCloud {
-        positions: Vec::with_capacity(count),
-        quaternions: Vec::with_capacity(count),
-        log_scales: Vec::with_capacity(count),
-        opacities: Vec::with_capacity(count),
-        degree,
-        harmonics: Vec::with_capacity(3 * coefficient_count(degree) * count),
-        info: scene.info.clone(),
-    };
+    let harmonics = Vec::with_capacity(3 * coefficient_count(degree) * count);
+    let mut cloud = SplatCloud { degree, harmonics, info: scene.info.clone(), ..SplatCloud::default() };
     let sigma = (2.0 * scene.info.modulation.max(1.0).ln()).sqrt() / OPAQUE_RADIUS_SIGMAS;
     let widen = sigma.ln() as f32;
     for (row, scales) in scene.surfels.log_scales.as_chunks::<2>().0.iter().enumerate() {
@@ -95,7 +89,7 @@ struct Splat {
 impl SplatCloud {
     fn push(&mut self, splat: Splat) {
         self.positions.push(splat.position);
-        self.quaternions.push(normalised(splat.quaternion));
+        self.quaternions.push(unit_quaternion(splat.quaternion).map(|component| component as f32));
         self.log_scales.push(splat.log_scales);
         self.opacities.push(splat.opacity);
         let kept = &splat.harmonics[..coefficient_count(self.degree)];
@@ -138,16 +132,6 @@ fn order_free(o: f64) -> (f64, f64) {
 /// Row `row` of `values` [N, W].
 fn row_of<const W: usize>(values: &[f32], row: usize) -> [f32; W] {
     values.as_chunks::<W>().0[row]
-}
-
-/// The quaternion at unit length; no rotation where the length is 0.
-fn normalised(quaternion: [f32; 4]) -> [f32; 4] {
-    let length = quaternion.iter().map(|&component| f64::from(component).powi(2)).sum::<f64>().sqrt();
-    if length > 1e-12 {
-        quaternion.map(|component| (f64::from(component) / length) as f32)
-    } else {
-        [1.0, 0.0, 0.0, 0.0]
-    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,5 @@
 //! Binary glTF: accessors, their bytes, and the container.
 
-use gltf_json::accessor::{ComponentType, GenericComponentType, Type};
-use gltf_json::buffer::{Target, View};
-use gltf_json::validation::Checked::Valid;
-use gltf_json::validation::USize64;
-use gltf_json::{Accessor, Asset, Buffer, Index, Node, Root, Scene};
 use serde_json::{Value, json};
 
 use super::GENERATOR;
@@ -13,125 +8,86 @@ const MAGIC: u32 = u32::from_le_bytes(*b"glTF");
 const JSON_CHUNK: u32 = u32::from_le_bytes(*b"JSON");
 const BINARY_CHUNK: u32 = u32::from_le_bytes(*b"BIN\0");
 
-/// A file with one scene, one node and one mesh.
+/// Types of components.
+const U8: u32 = 5121;
+const U32: u32 = 5125;
+const F32: u32 = 5126;
+/// Targets of buffers.
+const VERTICES: u32 = 34962;
+const INDICES: u32 = 34963;
+
+/// A file with one scene, one node, and one mesh of one primitive. What adds an accessor returns its index.
+#[derive(Default)]
 pub struct GlbBuilder {
-    pub root: Root,
+    accessors: Vec<Value>,
+    views: Vec<Value>,
     binary: Vec<u8>,
 }
 
-/// Values of an accessor as bytes.
-pub struct Column {
-    pub bytes: Vec<u8>,
-    pub component: ComponentType,
-    pub kind: Type,
-    pub normalised: bool,
-    /// `None` for indices.
-    pub count: usize,
-    pub target: Target,
-    /// Smallest and largest value of each component.
-    pub range: Option<[Value; 2]>,
-}
-
-impl Column {
-    /// Attributes of `W` floats for each vertex.
-    pub fn floats<const W: usize>(rows: impl Iterator<Item = [f32; W]>) -> Self {
-        let bytes: Vec<u8> = rows.flatten().flat_map(f32::to_le_bytes).collect();
+impl GlbBuilder {
+    /// `W` floats for each vertex.
+    pub fn floats<const W: usize>(&mut self, rows: impl Iterator<Item = [f32; W]>) -> usize {
         let kind = match W {
-            1 => Type::Scalar,
-            3 => Type::Vec3,
-            _ => Type::Vec4,
+            1 => "SCALAR",
+            3 => "VEC3",
+            _ => "VEC4",
         };
+        let bytes: Vec<u8> = rows.flatten().flat_map(f32::to_le_bytes).collect();
         let count = bytes.len() / (4 * W);
-        Self {
-            bytes,
-            component: ComponentType::F32,
-            kind,
-            normalised: false,
-            count,
-            target: Target::ArrayBuffer,
-            range: None,
-        }
+        self.add(VERTICES, json!({ "componentType": F32, "count": count, "type": kind }), bytes)
     }
 
-    /// Positions, with their range.
-    pub fn positions(rows: &[[f32; 3]]) -> Self {
-        let mut range = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
+    /// With their range.
+    pub fn positions(&mut self, rows: &[[f32; 3]]) -> usize {
+        let [mut min, mut max] = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
         for row in rows {
             for axis in 0..3 {
-                range[0][axis] = range[0][axis].min(row[axis]);
-                range[1][axis] = range[1][axis].max(row[axis]);
+                min[axis] = min[axis].min(row[axis]);
+                max[axis] = max[axis].max(row[axis]);
             }
         }
-        Self { range: Some(range.map(|corner| json!(corner))), ..Self::floats(rows.iter().copied()) }
+        let index = self.floats(rows.iter().copied());
+        (self.accessors[index]["min"], self.accessors[index]["max"]) = (json!(min), json!(max));
+        index
     }
 
     /// Red, green, blue and alpha of each vertex, from 0 to 255.
-    pub fn colours(rows: impl Iterator<Item = [u8; 4]>) -> Self {
+    pub fn colours(&mut self, rows: impl Iterator<Item = [u8; 4]>) -> usize {
         let bytes: Vec<u8> = rows.flatten().collect();
         let count = bytes.len() / 4;
-        let (component, kind) = (ComponentType::U8, Type::Vec4);
-        Self { bytes, component, kind, normalised: true, count, target: Target::ArrayBuffer, range: None }
+        self.add(VERTICES, json!({ "componentType": U8, "count": count, "type": "VEC4", "normalized": true }), bytes)
     }
 
-    pub fn indices(indices: &[u32]) -> Self {
-        Self {
-            bytes: indices.iter().flat_map(|index| index.to_le_bytes()).collect(),
-            component: ComponentType::U32,
-            kind: Type::Scalar,
-            normalised: false,
-            count: indices.len(),
-            target: Target::ElementArrayBuffer,
-            range: None,
-        }
-    }
-}
-
-impl GlbBuilder {
-    pub fn new() -> Self {
-        let asset = Asset { generator: Some(GENERATOR.to_owned()), ..Asset::default() };
-        let mut root = Root { asset, ..Root::default() };
-        let node = root.push(Node { mesh: Some(Index::new(0)), ..Node::default() });
-        let scene = Scene { extensions: None, extras: Default::default(), nodes: vec![node] };
-        root.scene = Some(root.push(scene));
-        Self { root, binary: Vec::new() }
+    pub fn indices(&mut self, indices: &[u32]) -> usize {
+        let bytes = indices.iter().flat_map(|index| index.to_le_bytes()).collect();
+        self.add(INDICES, json!({ "componentType": U32, "count": indices.len(), "type": "SCALAR" }), bytes)
     }
 
-    /// Index of the accessor of `column`.
-    pub fn add(&mut self, column: Column) -> Index<Accessor> {
-        let view = self.root.push(View {
-            buffer: Index::new(0),
-            byte_length: USize64::from(column.bytes.len()),
-            byte_offset: Some(USize64::from(self.binary.len())),
-            byte_stride: None,
-            target: Some(Valid(column.target)),
-            extensions: None,
-            extras: Default::default(),
-        });
-        self.binary.extend(column.bytes);
+    fn add(&mut self, target: u32, mut accessor: Value, bytes: Vec<u8>) -> usize {
+        let (byte_length, byte_offset) = (bytes.len(), self.binary.len());
+        accessor["bufferView"] = json!(self.views.len());
+        self.accessors.push(accessor);
+        self.views.push(json!({ "buffer": 0, "byteLength": byte_length, "byteOffset": byte_offset, "target": target }));
+        self.binary.extend(bytes);
         pad(&mut self.binary, 0);
-        let (min, max) = column.range.map_or((None, None), |[min, max]| (Some(min), Some(max)));
-        self.root.push(Accessor {
-            buffer_view: Some(view),
-            byte_offset: None,
-            count: USize64::from(column.count),
-            component_type: Valid(GenericComponentType(column.component)),
-            extensions: None,
-            extras: Default::default(),
-            type_: Valid(column.kind),
-            min,
-            max,
-            normalized: column.normalised,
-            sparse: None,
-        })
+        self.accessors.len() - 1
     }
 
-    /// The bytes of the file, after `edit` of its JSON. `note` and the `offset` of the scene stand in `asset.extras`.
-    pub fn finish(mut self, note: &str, offset: [f64; 3], edit: impl FnOnce(&mut Value)) -> Vec<u8> {
-        let byte_length = USize64::from(self.binary.len());
-        self.root.push(Buffer { byte_length, uri: None, extensions: None, extras: Default::default() });
-        let mut document = serde_json::to_value(&self.root).expect("a document is JSON");
-        document["asset"]["extras"] = json!({ "note": note, "offset": offset });
-        edit(&mut document);
+    /// The bytes of the file of `primitive`. `note` and the `offset` of the scene stand in `asset.extras`.
+    pub fn finish(self, primitive: Value, extensions: &[&str], note: &str, offset: [f64; 3]) -> Vec<u8> {
+        let mut document = json!({
+            "accessors": self.accessors,
+            "asset": { "generator": GENERATOR, "version": "2.0", "extras": { "note": note, "offset": offset } },
+            "buffers": [{ "byteLength": self.binary.len() }],
+            "bufferViews": self.views,
+            "scene": 0,
+            "meshes": [{ "primitives": [primitive] }],
+            "nodes": [{ "mesh": 0 }],
+            "scenes": [{ "nodes": [0] }],
+        });
+        if !extensions.is_empty() {
+            document["extensionsUsed"] = json!(extensions);
+        }
         let mut json = serde_json::to_vec(&document).expect("a document is JSON");
         pad(&mut json, b' ');
         let total = 12 + 8 + json.len() + 8 + self.binary.len();
@@ -164,7 +120,6 @@ pub fn parts(bytes: &[u8]) -> (Value, &[u8]) {
     (serde_json::from_slice(&bytes[20..end]).unwrap(), &bytes[end + 8..])
 }
 
-/// The floats of the accessor `index`.
 #[cfg(test)]
 pub fn floats(document: &Value, binary: &[u8], index: &Value) -> Vec<f32> {
     let accessor = &document["accessors"][index.as_u64().unwrap() as usize];

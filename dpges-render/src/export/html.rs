@@ -17,7 +17,6 @@ use crate::path::CameraPath;
 
 /// Names the folder of the built page where no option does.
 pub const PAGE_VARIABLE: &str = "DPGES_WEB_PAGE";
-/// Beside the program: the folder of the built page.
 const BESIDE_PROGRAM: &str = "dpges-web";
 const BUILD_COMMAND: &str = "dpges-render/web/build.sh";
 
@@ -29,10 +28,8 @@ const CAMERAS: &str = "cameras.json";
 const NO_SCENE: &str = r#"<meta name="dpges-scene" content="">"#;
 const NO_POSTER: &str = r#"<meta name="dpges-poster" content="">"#;
 const NO_TITLE: &str = "<title>dpges</title>";
-/// Where the page has its program.
 const PACKAGE: &str = "pkg";
 
-/// Errors of a page or of the folder it is written to.
 #[derive(Debug, thiserror::Error)]
 pub enum HtmlError {
     #[error(
@@ -60,7 +57,6 @@ fn listed(folders: &[PathBuf]) -> String {
 /// The parts of a page besides the scene.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Page<'a> {
-    /// Title of the window or tab.
     pub title: &'a str,
     /// A picture in the JPEG format, shown until the scene has been loaded.
     pub poster_jpeg: Option<&'a [u8]>,
@@ -68,7 +64,6 @@ pub struct Page<'a> {
     pub cameras: &'a [Camera],
 }
 
-/// A file that was written.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WrittenFile {
     pub path: PathBuf,
@@ -115,39 +110,30 @@ pub fn write_html(
         return Err(HtmlError::ForeignPage { path: package, missing: "the WebAssembly file" });
     }
     let mut writer = Writer { folder, files: Vec::new() };
-    writer.create_folder("")?;
+    fs::create_dir_all(folder).map_err(failed("cannot create", folder))?;
     let canonical = |folder: &Path| folder.canonicalize().ok();
     if canonical(folder).is_some_and(|folder| canonical(page_folder) == Some(folder)) {
         return Err(HtmlError::SameFolder(folder.to_owned()));
     }
-    writer.create_folder(PACKAGE)?;
-    for path in &package_files {
-        writer.copy(path, &Path::new(PACKAGE).join(path.file_name().unwrap_or_default()))?;
-    }
-    for path in files_in(page_folder)?.iter().filter(|path| !path.ends_with(INDEX)) {
-        writer.copy(path, Path::new(path.file_name().unwrap_or_default()))?;
-    }
+    writer.copy(package_files.iter(), PACKAGE)?;
+    writer.copy(files_in(page_folder)?.iter().filter(|path| !path.ends_with(INDEX)), "")?;
     if let Some(scene) = scene {
         scene.save(&folder.join(SCENE))?;
         writer.note(folder.join(SCENE))?;
     }
     if let Some(poster) = page.poster_jpeg {
-        writer.write(Path::new(POSTER), poster)?;
+        writer.write(POSTER, poster)?;
     }
     // Without cameras too: an older file would be taken for this scene's.
     let cameras = CameraPath::new(page.cameras.to_vec(), false).map_or_else(|_| "[]".to_owned(), |path| path.to_json());
-    writer.write(Path::new(CAMERAS), cameras.as_bytes())?;
-    writer.write(Path::new(INDEX), index.as_bytes())?;
+    writer.write(CAMERAS, cameras.as_bytes())?;
+    writer.write(INDEX, index.as_bytes())?;
     Ok(writer.files)
 }
 
 /// The page's `index.html` with the names of the files, `scene` among them, and the title.
 fn filled_index(path: &Path, page: &Page, scene: &str) -> Result<String, HtmlError> {
-    let index = fs::read_to_string(path).map_err(|source| HtmlError::Io {
-        action: "cannot read",
-        path: path.to_owned(),
-        source,
-    })?;
+    let index = fs::read_to_string(path).map_err(failed("cannot read", path))?;
     if let Some(&missing) = [NO_SCENE, NO_POSTER, NO_TITLE].iter().find(|part| !index.contains(**part)) {
         return Err(HtmlError::ForeignPage { path: path.to_owned(), missing });
     }
@@ -168,10 +154,13 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, HtmlError> {
         let entries = fs::read_dir(folder)?.collect::<io::Result<Vec<_>>>()?;
         Ok(entries.iter().map(fs::DirEntry::path).filter(|path| path.is_file()).collect())
     };
-    let failed = |source| HtmlError::Io { action: "cannot read", path: folder.to_owned(), source };
-    let mut files = read().map_err(failed)?;
+    let mut files = read().map_err(failed("cannot read", folder))?;
     files.sort();
     Ok(files)
+}
+
+fn failed(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> HtmlError {
+    move |source| HtmlError::Io { action, path: path.to_owned(), source }
 }
 
 struct Writer<'a> {
@@ -180,29 +169,25 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    fn error(&self, action: &'static str, name: &str, source: io::Error) -> HtmlError {
-        HtmlError::Io { action, path: self.folder.join(name), source }
+    /// Copies files into the folder `to` of the page, which is created.
+    fn copy<'a>(&mut self, files: impl Iterator<Item = &'a PathBuf>, to: &str) -> Result<(), HtmlError> {
+        let folder = self.folder.join(to);
+        fs::create_dir_all(&folder).map_err(failed("cannot create", &folder))?;
+        for from in files {
+            let bytes = fs::read(from).map_err(failed("cannot read", from))?;
+            self.write(Path::new(to).join(from.file_name().unwrap_or_default()), &bytes)?;
+        }
+        Ok(())
     }
 
-    fn create_folder(&self, name: &str) -> Result<(), HtmlError> {
-        fs::create_dir_all(self.folder.join(name)).map_err(|source| self.error("cannot create", name, source))
-    }
-
-    fn copy(&mut self, from: &Path, name: &Path) -> Result<(), HtmlError> {
-        let bytes =
-            fs::read(from).map_err(|source| HtmlError::Io { action: "cannot read", path: from.to_owned(), source })?;
-        self.write(name, &bytes)
-    }
-
-    fn write(&mut self, name: &Path, bytes: &[u8]) -> Result<(), HtmlError> {
+    fn write(&mut self, name: impl AsRef<Path>, bytes: &[u8]) -> Result<(), HtmlError> {
         let path = self.folder.join(name);
         write_atomically(&path, |file| file.write_all(bytes))?;
         self.note(path)
     }
 
     fn note(&mut self, path: PathBuf) -> Result<(), HtmlError> {
-        let found = fs::metadata(&path);
-        let bytes = found.map_err(|source| HtmlError::Io { action: "cannot read", path: path.clone(), source })?.len();
+        let bytes = fs::metadata(&path).map_err(failed("cannot read", &path))?.len();
         self.files.push(WrittenFile { path, bytes });
         Ok(())
     }
@@ -210,19 +195,15 @@ impl Writer<'_> {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::camera::CameraFromWorld;
-    use dpges_core::scene::{ColourModel, GaussianData, SceneInfo, SurfelData};
+    use dpges_core::scene::SceneInfo;
 
     use super::*;
+    use crate::fixtures::{camera, neutral};
 
     fn scene() -> SceneData {
-        let info = SceneInfo { offset: [100.0, 0.0, -5.0], ..SceneInfo::default() };
-        let model: ColourModel = info.colour_model;
-        let (surfels, gaussians) = (SurfelData::neutral(model, 2), GaussianData::neutral(model, 3));
-        SceneData { info, surfels, gaussians, environment: None }
+        neutral(SceneInfo { offset: [100.0, 0.0, -5.0], ..SceneInfo::default() }, [2, 3])
     }
 
-    /// The sources of the page, with an empty program.
     fn built_page(folder: &Path) {
         for path in files_in(&Path::new(env!("CARGO_MANIFEST_DIR")).join("web/page")).unwrap() {
             fs::copy(&path, folder.join(path.file_name().unwrap())).unwrap();
@@ -232,27 +213,12 @@ mod tests {
         fs::write(folder.join(PACKAGE).join("dpges_web.js"), b"export {}").unwrap();
     }
 
-    fn camera() -> Camera {
-        let pose = CameraFromWorld::look_at([1.0, 2.0, 3.0].into(), [0.0; 3].into(), [0.0, 0.0, 1.0].into());
-        Camera {
-            camera_from_world: pose,
-            fx: 50.0,
-            fy: 60.0,
-            cx: 32.0,
-            cy: 24.0,
-            width: 64,
-            height: 48,
-            near: 0.01,
-            lens: None,
-        }
-    }
-
     #[test]
     fn a_folder_has_the_page_the_scene_the_poster_and_the_cameras() {
         let [built, out] = [(); 2].map(|()| tempfile::tempdir().unwrap());
         built_page(built.path());
-        let folder = out.path().join("new/page");
-        let page = Page { title: "Fox & <friends>", poster_jpeg: Some(b"jpeg"), cameras: &[camera()] };
+        let (folder, camera) = (out.path().join("new/page"), camera([1.0, 2.0, 3.0], 50.0));
+        let page = Page { title: "Fox & <friends>", poster_jpeg: Some(b"jpeg"), cameras: &[camera] };
         let files = write_html(&folder, built.path(), Some(&scene()), &page).unwrap();
         assert!(files.iter().all(|file| fs::metadata(&file.path).unwrap().len() == file.bytes));
         assert!(files.last().unwrap().path.ends_with(INDEX));
@@ -269,7 +235,7 @@ mod tests {
             assert!(index.contains(part), "{part}");
         }
         let cameras = CameraPath::load(&folder.join(CAMERAS), 0.5).unwrap();
-        assert!((cameras.keys()[0].centre() - camera().centre()).length() < 1e-12, "{cameras:?}");
+        assert!((cameras.keys()[0].centre() - camera.centre()).length() < 1e-12, "{cameras:?}");
         assert_eq!((cameras.keys()[0].fx, cameras.keys()[0].width), (50.0, 64));
         // beside the index of levels of detail
         let files = write_html(&folder, built.path(), None, &page).unwrap();

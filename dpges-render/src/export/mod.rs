@@ -35,8 +35,17 @@ pub use harmonics::{MAX_DEGREE, coefficient_count};
 pub use splat_glb::to_glb;
 pub use splat_ply::to_ply;
 
-/// The name of the program in comments of files.
 const GENERATOR: &str = concat!("dpges ", env!("CARGO_PKG_VERSION"));
+/// The head of a PLY file up to its elements. `notes` are comments; positions are in axes with `up` upwards, and less than
+/// those of the dataset by `offset`.
+fn ply_head(notes: &[&str], up: UpAxis, [x, y, z]: [f64; 3]) -> String {
+    let notes: String = notes.iter().map(|note| format!("comment {note}\n")).collect();
+    format!(
+        "ply\nformat binary_little_endian 1.0\ncomment Exported from {GENERATOR}\n{notes}comment Vertical axis: {up}\n\
+         comment Offset: {x} {y} {z} (add it to positions to get coordinates of the dataset)\n"
+    )
+}
+
 /// The comment in files of splats, where the format has a place for it.
 const APPROXIMATION: &str =
     "Approximation: sorted splats in place of depth-peeled surfels with order-free Gaussians (DP-GES)";

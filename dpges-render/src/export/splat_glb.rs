@@ -5,20 +5,18 @@
 //! know the extension and draw points. y is up: [`UpAxis`] says how it comes about. `asset.extras` has the note that it is
 //! an approximation, and the offset of the scene, in the axes of the dataset.
 
-use gltf_json::mesh::{Mode, Primitive};
-use gltf_json::validation::Checked::Valid;
-use gltf_json::{Index, Mesh};
-use serde_json::{Map, json};
-
 use dpges_core::scene::SH_C0;
+use serde_json::{Map, json};
 
 use super::APPROXIMATION;
 use super::axes::UpAxis;
 use super::cloud::SplatCloud;
 use super::error::ExportError;
-use super::glb::{Column, GlbBuilder};
+use super::glb::GlbBuilder;
 
 const EXTENSION: &str = "KHR_gaussian_splatting";
+/// Mode of primitives.
+const POINTS: u32 = 0;
 
 /// The bytes of the file of `cloud`, which stands in axes with `up` upwards.
 ///
@@ -31,55 +29,34 @@ pub fn to_glb(cloud: &SplatCloud, up: UpAxis) -> Result<Vec<u8>, ExportError> {
         return Err(ExportError::TooMany { count: cloud.len(), limit });
     }
     let cloud = cloud.rotated(up.to_gltf());
-    let mut builder = GlbBuilder::new();
-    let mut attributes = Map::new();
-    let mut add = |name: String, column: Column| {
-        let index: Index<_> = builder.add(column);
-        attributes.insert(name, json!(index.value()));
-    };
     let rows = || (0..cloud.len()).map(|row| cloud.harmonics_of(row));
     let byte = |value: f64| (255.0 * value).round().clamp(0.0, 255.0) as u8;
     let fallback = rows().zip(&cloud.opacities).map(|(k, &opacity)| {
         let [red, green, blue] = k[0].map(|k0| byte(0.5 + SH_C0 * f64::from(k0)));
         [red, green, blue, byte(f64::from(opacity))]
     });
-    add("POSITION".to_owned(), Column::positions(&cloud.positions));
-    add("COLOR_0".to_owned(), Column::colours(fallback));
     let xyzw = cloud.quaternions.iter().map(|&[w, x, y, z]| [x, y, z, w]);
-    add(format!("{EXTENSION}:ROTATION"), Column::floats(xyzw));
-    add(format!("{EXTENSION}:SCALE"), Column::floats(cloud.log_scales.iter().map(|scales| scales.map(f32::exp))));
-    add(format!("{EXTENSION}:OPACITY"), Column::floats(cloud.opacities.iter().map(|&opacity| [opacity])));
+    let (mut glb, mut attributes) = (GlbBuilder::default(), Map::new());
+    let mut name = |name: String, accessor: usize| attributes.insert(name, accessor.into());
+    name("POSITION".to_owned(), glb.positions(&cloud.positions));
+    name("COLOR_0".to_owned(), glb.colours(fallback));
+    name(format!("{EXTENSION}:ROTATION"), glb.floats(xyzw));
+    name(format!("{EXTENSION}:SCALE"), glb.floats(cloud.log_scales.iter().map(|scales| scales.map(f32::exp))));
+    name(format!("{EXTENSION}:OPACITY"), glb.floats(cloud.opacities.iter().map(|&opacity| [opacity])));
     for degree in 0..=cloud.degree {
         for order in 0..2 * degree + 1 {
             let values = rows().map(|k| k[degree * degree + order]);
-            add(format!("{EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"), Column::floats(values));
+            name(format!("{EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"), glb.floats(values));
         }
     }
-    builder.root.extensions_used.push(EXTENSION.to_owned());
-    builder.root.meshes.push(Mesh {
-        extensions: None,
-        extras: Default::default(),
-        primitives: vec![Primitive {
-            attributes: Default::default(),
-            extensions: None,
-            extras: Default::default(),
-            indices: None,
-            material: None,
-            mode: Valid(Mode::Points),
-            targets: None,
-        }],
-        weights: None,
+    let kernel = json!({
+        "kernel": "ellipse",
+        "colorSpace": "srgb_rec709_display",
+        "projection": "perspective",
+        "sortingMethod": "cameraDistance",
     });
-    Ok(builder.finish(APPROXIMATION, cloud.info.offset, |document| {
-        let primitive = &mut document["meshes"][0]["primitives"][0];
-        primitive["attributes"] = attributes.into();
-        primitive["extensions"] = json!({ EXTENSION: {
-            "kernel": "ellipse",
-            "colorSpace": "srgb_rec709_display",
-            "projection": "perspective",
-            "sortingMethod": "cameraDistance",
-        } });
-    }))
+    let primitive = json!({ "mode": POINTS, "attributes": attributes, "extensions": { EXTENSION: kernel } });
+    Ok(glb.finish(primitive, &[EXTENSION], APPROXIMATION, cloud.info.offset))
 }
 
 #[cfg(test)]

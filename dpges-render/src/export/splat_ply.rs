@@ -7,7 +7,7 @@
 
 use super::axes::UpAxis;
 use super::cloud::SplatCloud;
-use super::{APPROXIMATION, GENERATOR};
+use super::{APPROXIMATION, ply_head};
 
 /// The bytes of the file. `up` is only noted in a comment.
 pub fn to_ply(cloud: &SplatCloud, up: UpAxis) -> Vec<u8> {
@@ -44,17 +44,8 @@ fn property_names(degree: usize) -> Vec<String> {
 }
 
 fn header(cloud: &SplatCloud, up: UpAxis, names: &[String]) -> String {
-    let [x, y, z] = cloud.info.offset;
-    let comments = [
-        format!("Exported from {GENERATOR}"),
-        APPROXIMATION.to_owned(),
-        // the splats are made for a low-pass filter that dims what it widens (Mip-Splatting)
-        "SplatRenderMode: mip".to_owned(),
-        format!("Vertical axis: {up}"),
-        format!("Offset: {x} {y} {z} (add it to positions to get coordinates of the dataset)"),
-    ];
-    let mut text = "ply\nformat binary_little_endian 1.0\n".to_owned();
-    text.extend(comments.iter().map(|comment| format!("comment {comment}\n")));
+    // the splats are made for a low-pass filter that dims what it widens (Mip-Splatting)
+    let mut text = ply_head(&[APPROXIMATION, "SplatRenderMode: mip"], up, cloud.info.offset);
     text.push_str(&format!("element vertex {}\n", cloud.len()));
     text.extend(names.iter().map(|name| format!("property float {name}\n")));
     text.push_str("end_header\n");

@@ -24,7 +24,6 @@ fn convert(input: &Path, output: &Path) {
     assert!(result.status.success(), "{}: {}", input.display(), String::from_utf8_lossy(&result.stderr));
 }
 
-/// Columns of a table of splats.
 fn table(path: &Path) -> HashMap<String, Vec<f32>> {
     let text = std::fs::read_to_string(path).unwrap();
     let mut lines = text.lines();
@@ -66,16 +65,17 @@ fn differences(columns: &HashMap<String, Vec<f32>>, cloud: &SplatCloud) -> [f32;
     largest
 }
 
-/// Axes of a quaternion (w, x, y, z).
 fn axes([w, x, y, z]: [f32; 4]) -> Mat3 {
     Mat3::from_quat(Quat::from_xyzw(x, y, z, w).normalize())
 }
 
-fn folder_with(name: &str, bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
+/// The file `output` that the program makes of a file `input` of `bytes`, and the folder of both.
+fn converted(input: &str, bytes: &[u8], output: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join(name);
-    std::fs::write(&path, bytes).unwrap();
-    (folder, path)
+    let [input, output] = [input, output].map(|name| folder.path().join(name));
+    std::fs::write(&input, bytes).unwrap();
+    convert(&input, &output);
+    (folder, output)
 }
 
 #[test]
@@ -83,9 +83,7 @@ fn folder_with(name: &str, bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
 fn it_reads_our_ply_exactly() {
     for degree in [0, 3] {
         let cloud = sample(40, degree);
-        let (folder, input) = folder_with("scene.ply", &to_ply(&cloud, UpAxis::MinusY));
-        let output = folder.path().join("scene.csv");
-        convert(&input, &output);
+        let (_folder, output) = converted("scene.ply", &to_ply(&cloud, UpAxis::MinusY), "scene.csv");
         let found = differences(&table(&output), &cloud);
         println!("PLY, degree {degree}: {found:?}");
         assert!(found.iter().all(|&difference| difference < 1e-5), "{found:?}");
@@ -98,9 +96,8 @@ fn it_reads_our_spz_within_the_steps_of_the_format() {
     for version in [SpzVersion::Three, SpzVersion::Four] {
         for degree in [0, 3] {
             let cloud = sample(40, degree);
-            let (folder, input) = folder_with("scene.spz", &to_spz(&cloud, UpAxis::MinusY, version).unwrap());
-            let output = folder.path().join("scene.csv");
-            convert(&input, &output);
+            let bytes = to_spz(&cloud, UpAxis::MinusY, version).unwrap();
+            let (_folder, output) = converted("scene.spz", &bytes, "scene.csv");
             let found = differences(&table(&output), &cloud);
             println!("SPZ {version:?}, degree {degree}: {found:?}");
             let steps = [1e-5, 0.04, 0.003, 0.02, 0.07, 1e-5];
@@ -113,9 +110,7 @@ fn it_reads_our_spz_within_the_steps_of_the_format() {
 #[ignore = "needs the npm package @playcanvas/splat-transform, see the head of its file"]
 fn our_glb_has_the_attributes_of_its_glb() {
     let cloud = sample(40, 2);
-    let (folder, input) = folder_with("scene.ply", &to_ply(&cloud, UpAxis::MinusY));
-    let output = folder.path().join("scene.glb");
-    convert(&input, &output);
+    let (_folder, output) = converted("scene.ply", &to_ply(&cloud, UpAxis::MinusY), "scene.glb");
     let (theirs, ours) = (std::fs::read(&output).unwrap(), to_glb(&cloud, UpAxis::MinusY).unwrap());
     let ([theirs, ours], mut largest) = ([parts(&theirs), parts(&ours)], 0.0f32);
     let primitive = |(document, _): &(serde_json::Value, &[u8])| document["meshes"][0]["primitives"][0].clone();

@@ -1,7 +1,7 @@
 //! The colour of every surfel, or disc, from the camera: once per frame, not per fragment.
 
-use super::pipeline::{Depth, Stage};
-use super::{COLOUR_FORMAT, Kit, Texture};
+use super::pipeline::{Pass, Stage};
+use super::{COLOUR_FORMAT, FLOAT, Kit, UINT};
 
 pub(crate) const SHADER: &str = concat!(
     include_str!("frame.wgsl"),
@@ -10,26 +10,6 @@ pub(crate) const SHADER: &str = concat!(
     include_str!("colours.wgsl")
 );
 
-#[derive(Debug)]
-pub(crate) struct ColoursPass {
-    pub layout: wgpu::BindGroupLayout,
-    pub pipeline: wgpu::RenderPipeline,
-}
-
-impl ColoursPass {
-    pub fn new(kit: &Kit) -> Self {
-        let shader = kit.shader("colours", SHADER);
-        let layout = kit.textures("colours", &[Texture::Float, Texture::Uint]);
-        let stage = Stage {
-            label: "colours",
-            vertex: "vertex",
-            fragment: "fragment",
-            targets: &[(COLOUR_FORMAT, None)],
-            writes: true,
-            depth: Depth::None,
-            quads: false,
-        };
-        let pipeline = kit.pipeline(&shader, &layout, &stage);
-        Self { layout, pipeline }
-    }
+pub(crate) fn pass(kit: &Kit) -> Pass {
+    kit.pass("colours", SHADER, &[FLOAT, UINT], &Stage::over(&[(COLOUR_FORMAT, None)]))
 }

@@ -24,21 +24,14 @@ pub(crate) struct Frame {
     environment: [[f32; 4]; MAX_COEFFICIENTS],
 }
 
-/// Switches of `frame.wgsl`.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Switches {
-    /// The target stores what it is given as sRGB.
-    pub encode_srgb: bool,
-}
-
 impl Frame {
-    /// A frame for primitives in the grid of `log2_width` with `texels` per colour.
+    /// `encode_srgb`: the target stores what it is given as sRGB.
     pub fn new(
         scene: &SceneTextures,
         camera: &Camera,
         options: &RenderOptions,
         depths: [f64; 2],
-        switches: Switches,
+        encode_srgb: bool,
     ) -> Self {
         let pose = &camera.camera_from_world;
         let rows = std::array::from_fn(|i| {
@@ -57,7 +50,7 @@ impl Frame {
         let switched = |bit: u32, on: bool| if on { bit } else { 0 };
         let all = switched(1, scene.info.margin_lookup == MarginLookup::Literal)
             | switched(2, scene.info.rendering != Rendering::Peeled)
-            | switched(4, switches.encode_srgb)
+            | switched(4, encode_srgb)
             | switched(8, scene.info.screen_filter == ScreenFilter::Plain)
             | switched(16, scene.info.max_alpha() < 0.995);
         let [r, g, b] = options.background;

@@ -23,8 +23,9 @@ mod resolve;
 mod sorted;
 mod splat;
 
-pub(crate) use frame::{Frame, Switches};
-pub(crate) use pipeline::{Kit, Texture, textures_group};
+pub(crate) use frame::Frame;
+use pipeline::{FLOAT, UINT};
+pub(crate) use pipeline::{Kit, textures_group};
 
 use crate::options::DepthSource;
 
@@ -36,9 +37,16 @@ pub(crate) enum Fading {
 }
 
 impl Fading {
+    fn shader(self) -> &'static str {
+        match self {
+            Self::Whole => include_str!("fade_whole.wgsl"),
+            Self::Paged => include_str!("fade_paged.wgsl"),
+        }
+    }
+
     /// The textures of a pass, and that of the factors behind them.
-    fn with_factors(self, textures: &[Texture]) -> Vec<Texture> {
-        let factors = (self == Self::Paged).then_some(Texture::Float);
+    fn with_factors(self, textures: &[wgpu::TextureSampleType]) -> Vec<wgpu::TextureSampleType> {
+        let factors = (self == Self::Paged).then_some(FLOAT);
         textures.iter().copied().chain(factors).collect()
     }
 }
@@ -59,13 +67,12 @@ pub(crate) const ORDER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uin
 pub(crate) const DRAWN_FORMATS: [wgpu::TextureFormat; 6] =
     [LAYER_FORMAT, OPACITY_FORMAT, COLOUR_FORMAT, RECORD_FORMAT, INTERVAL_FORMAT, THIRD_FORMAT];
 
-/// The pipelines of all passes.
 #[derive(Debug)]
 pub(crate) struct Passes {
-    pub colours: colours::ColoursPass,
-    pub project: project::ProjectPass,
+    pub colours: pipeline::Pass,
+    pub project: pipeline::Pass,
     pub peel: peel::PeelPass,
-    pub resolve: resolve::ResolvePass,
+    pub resolve: pipeline::Pass,
     pub splat: splat::SplatPass,
     pub sorted: sorted::SortedPass,
     pub present: present::PresentPass,
@@ -81,10 +88,10 @@ impl Passes {
         fading: Fading,
     ) -> Self {
         Self {
-            colours: colours::ColoursPass::new(kit),
-            project: project::ProjectPass::new(kit),
+            colours: colours::pass(kit),
+            project: project::pass(kit),
             peel: peel::PeelPass::new(kit, sums, depths, fading),
-            resolve: resolve::ResolvePass::new(kit),
+            resolve: resolve::pass(kit),
             splat: splat::SplatPass::new(kit, sums, fading),
             sorted: sorted::SortedPass::new(kit, sums),
             present: present::PresentPass::new(kit, format),
@@ -99,22 +106,23 @@ mod tests {
     fn shaders_are_valid() {
         use super::{DepthSource, Fading};
         use wgpu::naga::{front::wgsl, valid};
-        let shaders = [
+        let fixed = [
             ("colours", super::colours::SHADER),
             ("project", super::project::SHADER),
-            ("peel", super::peel::shader(DepthSource::Rasterised, Fading::Whole)),
-            ("peel with computed depths", super::peel::shader(DepthSource::Computed, Fading::Whole)),
-            ("peel by pages", super::peel::shader(DepthSource::Rasterised, Fading::Paged)),
-            ("peel by pages with computed depths", super::peel::shader(DepthSource::Computed, Fading::Paged)),
             ("resolve", super::resolve::SHADER),
-            ("splat", super::splat::shader(Fading::Whole)),
-            ("splat by pages", super::splat::shader(Fading::Paged)),
             ("sorted", super::sorted::SHADER),
             ("present", super::present::SHADER),
         ];
+        let mut shaders = fixed.map(|(name, source)| (name.to_owned(), source.to_owned())).to_vec();
+        for fading in [Fading::Whole, Fading::Paged] {
+            shaders.push((format!("splat, {fading:?}"), super::splat::shader(fading)));
+            for depths in [DepthSource::Rasterised, DepthSource::Computed] {
+                shaders.push((format!("peel, {depths:?}, {fading:?}"), super::peel::shader(depths, fading)));
+            }
+        }
         let capabilities = valid::Capabilities::SHADER_FLOAT16_IN_FLOAT32;
         for (name, source) in shaders {
-            let module = wgsl::parse_str(source).unwrap_or_else(|error| panic!("{}", error.emit_to_string(source)));
+            let module = wgsl::parse_str(&source).unwrap_or_else(|error| panic!("{}", error.emit_to_string(&source)));
             let mut validator = valid::Validator::new(valid::ValidationFlags::all(), capabilities);
             validator.validate(&module).unwrap_or_else(|error| panic!("{name}: {error:?}"));
         }

@@ -2,34 +2,20 @@
 //! are the nearest opaque fragments.
 
 use super::pipeline::{ADDITIVE, Depth, Stage};
-use super::{Fading, Kit, LAYER_FORMAT, OPACITY_FORMAT, Texture};
+use super::{FLOAT, Fading, Kit, LAYER_FORMAT, OPACITY_FORMAT, UINT};
 use crate::options::{DepthSource, RenderOptions};
 
-macro_rules! shader {
-    ($depth:literal, $fade:literal) => {
-        concat!(
-            include_str!("frame.wgsl"),
-            include_str!("layer.wgsl"),
-            include_str!($depth),
-            include_str!($fade),
-            include_str!("peel.wgsl")
-        )
+pub(crate) fn shader(depths: DepthSource, fading: Fading) -> String {
+    let depth = match depths {
+        DepthSource::Rasterised => include_str!("depth_rasterised.wgsl"),
+        DepthSource::Computed => include_str!("depth_computed.wgsl"),
     };
-}
-
-pub(crate) const fn shader(depths: DepthSource, fading: Fading) -> &'static str {
-    match (depths, fading) {
-        (DepthSource::Rasterised, Fading::Whole) => shader!("depth_rasterised.wgsl", "fade_whole.wgsl"),
-        (DepthSource::Rasterised, Fading::Paged) => shader!("depth_rasterised.wgsl", "fade_paged.wgsl"),
-        (DepthSource::Computed, Fading::Whole) => shader!("depth_computed.wgsl", "fade_whole.wgsl"),
-        (DepthSource::Computed, Fading::Paged) => shader!("depth_computed.wgsl", "fade_paged.wgsl"),
-    }
+    [include_str!("frame.wgsl"), include_str!("layer.wgsl"), depth, fading.shader(), include_str!("peel.wgsl")].concat()
 }
 
 #[derive(Debug)]
 pub(crate) struct PeelPass {
     pub layout: wgpu::BindGroupLayout,
-    /// Nearest opaque fragments.
     pub core: wgpu::RenderPipeline,
     /// Nearest fragments, of all or of those before the core: in the first layer, and behind the previous one.
     first: [wgpu::RenderPipeline; 2],
@@ -39,42 +25,32 @@ pub(crate) struct PeelPass {
     /// Starts a layer with the cores, and closes pixels that have no such layer; in the last, closes those with a core.
     start_first: [wgpu::RenderPipeline; 2],
     start_next: [wgpu::RenderPipeline; 2],
-    /// Counts fragments into sums.
     pub count: wgpu::RenderPipeline,
 }
 
 impl PeelPass {
     pub fn new(kit: &Kit, sums: wgpu::TextureFormat, depths: DepthSource, fading: Fading) -> Self {
-        let shader = kit.shader("peel", shader(depths, fading));
-        let textures = [Texture::Float, Texture::Uint, Texture::Uint, Texture::Uint];
-        let layout = kit.textures("peel", &fading.with_factors(&textures));
-        let stage = |vertex: &'static str, fragment: &'static str, writes: bool, quads: bool| Stage {
-            label: "peel",
-            vertex,
-            fragment,
-            targets: &[(LAYER_FORMAT, None), (OPACITY_FORMAT, None)],
-            writes,
-            depth: if quads { Depth::Nearest } else { Depth::Write },
-            quads,
+        let textures = [FLOAT, UINT, UINT, UINT];
+        let program = kit.program("peel", shader(depths, fading), &fading.with_factors(&textures));
+        let (layer, sums) = ([(LAYER_FORMAT, None), (OPACITY_FORMAT, None)], [(sums, Some(ADDITIVE))]);
+        let whole = Stage { depth: Depth::Write, ..Stage::over(&layer) };
+        let surfels = Stage { depth: Depth::Nearest, quads: true, ..whole };
+        let quads = |fragment| program.pipeline(&Stage { fragment, ..surfels });
+        let start = |fragment| {
+            ["open_vertex", "close_vertex"].map(|vertex| program.pipeline(&Stage { vertex, fragment, ..whole }))
         };
-        let pipeline = |stage: &Stage| kit.pipeline(&shader, &layout, stage);
-        let targets = &[(sums, Some(ADDITIVE))];
-        let counting =
-            Stage { label: "count surfels", targets, depth: Depth::None, ..stage("vertex", "count", true, true) };
-        let core =
-            Stage { label: "cores", targets: &[(LAYER_FORMAT, None)], ..stage("core_vertex", "core", true, true) };
-        let quads = |fragment| pipeline(&stage("vertex", fragment, true, true));
-        let start =
-            |fragment| ["open_vertex", "close_vertex"].map(|vertex| pipeline(&stage(vertex, fragment, true, false)));
+        let core = Stage { vertex: "core_vertex", fragment: "core", targets: &layer[..1], ..surfels };
+        let close = Stage { vertex: "close_vertex", fragment: "close", writes: false, ..whole };
+        let count = Stage { fragment: "count", quads: true, ..Stage::over(&sums) };
         Self {
-            core: pipeline(&core),
+            core: program.pipeline(&core),
             first: ["first", "first_before_core"].map(quads),
             next: ["next", "next_before_core"].map(quads),
-            close: pipeline(&stage("close_vertex", "close", false, false)),
+            close: program.pipeline(&close),
             start_first: start("start_first"),
             start_next: start("start_next"),
-            count: pipeline(&counting),
-            layout,
+            count: program.pipeline(&count),
+            layout: program.layout,
         }
     }
 

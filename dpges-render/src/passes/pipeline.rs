@@ -1,17 +1,13 @@
 //! Pipelines from few words: what passes have in common.
 
-use wgpu::TextureSampleType::{Float, Uint};
+use std::borrow::Cow;
 
 use super::DEPTH_FORMAT;
 
-/// A texture that a pass loads texels of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Texture {
-    Float,
-    Uint,
-}
+/// Types of the texels that passes load.
+pub(crate) const FLOAT: wgpu::TextureSampleType = wgpu::TextureSampleType::Float { filterable: false };
+pub(crate) const UINT: wgpu::TextureSampleType = wgpu::TextureSampleType::Uint;
 
-/// Makes pipelines.
 #[derive(Debug)]
 pub(crate) struct Kit<'a> {
     pub device: &'a wgpu::Device,
@@ -19,33 +15,50 @@ pub(crate) struct Kit<'a> {
     pub frame: &'a wgpu::BindGroupLayout,
 }
 
-/// How fragments meet the depth buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Depth {
     None,
     /// The nearest stays. The first drawn wins a tie.
     Nearest,
-    /// Written without a test.
     Write,
-    /// Tested, not written.
     Test,
 }
 
-/// One pipeline of a pass.
-#[derive(Debug)]
+type Target = (wgpu::TextureFormat, Option<wgpu::BlendState>);
+
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Stage<'a> {
-    pub label: &'a str,
     pub vertex: &'a str,
     pub fragment: &'a str,
-    pub targets: &'a [(wgpu::TextureFormat, Option<wgpu::BlendState>)],
-    /// Whether colours are written.
+    pub targets: &'a [Target],
     pub writes: bool,
     pub depth: Depth,
     /// A strip of two triangles rather than one triangle.
     pub quads: bool,
 }
 
-/// Sums.
+impl<'a> Stage<'a> {
+    /// Draws `targets` all over, by the entry points `vertex` and `fragment`.
+    pub const fn over(targets: &'a [Target]) -> Self {
+        Self { vertex: "vertex", fragment: "fragment", targets, writes: true, depth: Depth::None, quads: false }
+    }
+}
+
+/// The shader of a pass, of which its pipelines are made.
+pub(crate) struct Program<'a> {
+    kit: &'a Kit<'a>,
+    label: &'static str,
+    shader: wgpu::ShaderModule,
+    /// Group 1: textures in the order of their bindings.
+    pub layout: wgpu::BindGroupLayout,
+}
+
+#[derive(Debug)]
+pub(crate) struct Pass {
+    pub layout: wgpu::BindGroupLayout,
+    pub pipeline: wgpu::RenderPipeline,
+}
+
 pub(crate) const ADDITIVE: wgpu::BlendState = {
     let sum = wgpu::BlendComponent {
         src_factor: wgpu::BlendFactor::One,
@@ -56,36 +69,52 @@ pub(crate) const ADDITIVE: wgpu::BlendState = {
 };
 
 impl Kit<'_> {
-    pub fn shader(&self, label: &str, source: &'static str) -> wgpu::ShaderModule {
+    /// The program of `source`, which loads texels of `textures`.
+    pub fn program(
+        &self,
+        label: &'static str,
+        source: impl Into<Cow<'static, str>>,
+        textures: &[wgpu::TextureSampleType],
+    ) -> Program<'_> {
         let source = wgpu::ShaderSource::Wgsl(source.into());
-        self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(label), source })
-    }
-
-    /// Layout of group 1: `textures` in the order of their bindings.
-    pub fn textures(&self, label: &str, textures: &[Texture]) -> wgpu::BindGroupLayout {
-        let entry = |(binding, texture): (usize, &Texture)| wgpu::BindGroupLayoutEntry {
-            binding: binding as u32,
+        let entry = |(binding, &sample_type)| wgpu::BindGroupLayoutEntry {
+            binding,
             visibility: wgpu::ShaderStages::VERTEX_FRAGMENT,
             ty: wgpu::BindingType::Texture {
-                sample_type: if *texture == Texture::Float { Float { filterable: false } } else { Uint },
+                sample_type,
                 view_dimension: wgpu::TextureViewDimension::D2,
                 multisampled: false,
             },
             count: None,
         };
-        let entries: Vec<_> = textures.iter().enumerate().map(entry).collect();
-        self.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries })
+        let entries: Vec<_> = (0..).zip(textures).map(entry).collect();
+        let layout = wgpu::BindGroupLayoutDescriptor { label: Some(label), entries: &entries };
+        Program {
+            kit: self,
+            label,
+            shader: self.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(label), source }),
+            layout: self.device.create_bind_group_layout(&layout),
+        }
     }
 
-    pub fn pipeline(
+    pub fn pass(
         &self,
-        shader: &wgpu::ShaderModule,
-        textures: &wgpu::BindGroupLayout,
+        label: &'static str,
+        source: &'static str,
+        textures: &[wgpu::TextureSampleType],
         stage: &Stage,
-    ) -> wgpu::RenderPipeline {
-        let layout = self.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(stage.label),
-            bind_group_layouts: &[Some(self.frame), Some(textures)],
+    ) -> Pass {
+        let program = self.program(label, source, textures);
+        Pass { pipeline: program.pipeline(stage), layout: program.layout }
+    }
+}
+
+impl Program<'_> {
+    pub fn pipeline(&self, stage: &Stage) -> wgpu::RenderPipeline {
+        let Self { kit: Kit { device, frame }, label, shader, layout } = self;
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(label),
+            bind_group_layouts: &[Some(frame), Some(layout)],
             immediate_size: 0,
         });
         let write_mask = if stage.writes { wgpu::ColorWrites::ALL } else { wgpu::ColorWrites::empty() };
@@ -106,8 +135,8 @@ impl Kit<'_> {
         };
         let topology =
             if stage.quads { wgpu::PrimitiveTopology::TriangleStrip } else { wgpu::PrimitiveTopology::TriangleList };
-        self.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some(stage.label),
+        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some(label),
             layout: Some(&layout),
             vertex: wgpu::VertexState {
                 module: shader,

@@ -1,7 +1,7 @@
 //! From sums to the picture.
 
-use super::pipeline::{Depth, Stage};
-use super::{Kit, Texture};
+use super::pipeline::Stage;
+use super::{FLOAT, Kit, UINT};
 
 pub(crate) const SHADER: &str = concat!(
     include_str!("frame.wgsl"),
@@ -23,22 +23,13 @@ pub(crate) struct PresentPass {
 
 impl PresentPass {
     pub fn new(kit: &Kit, format: wgpu::TextureFormat) -> Self {
-        use Texture::{Float, Uint};
-        let shader = kit.shader("present", SHADER);
-        let layout = kit.textures("present", &[Float, Float, Float, Uint, Uint, Uint, Uint, Uint]);
-        let pipeline = |fragment| {
-            let targets = &[(format, None)];
-            let stage = Stage {
-                label: "present",
-                vertex: "vertex",
-                fragment,
-                targets,
-                writes: true,
-                depth: Depth::None,
-                quads: false,
-            };
-            kit.pipeline(&shader, &layout, &stage)
-        };
-        Self { image: pipeline("image"), peeled: pipeline("fragment"), blended: pipeline("blended"), layout }
+        let program = kit.program("present", SHADER, &[FLOAT, FLOAT, FLOAT, UINT, UINT, UINT, UINT, UINT]);
+        let pipeline = |fragment| program.pipeline(&Stage { fragment, ..Stage::over(&[(format, None)]) });
+        Self {
+            image: pipeline("image"),
+            peeled: pipeline("fragment"),
+            blended: pipeline("blended"),
+            layout: program.layout,
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! The ellipse that every Gaussian projects to, and its colour: once per frame.
 
-use super::pipeline::{Depth, Stage};
-use super::{Kit, RECORD_FORMAT, Texture};
+use super::pipeline::{Pass, Stage};
+use super::{FLOAT, Kit, RECORD_FORMAT, UINT};
 
 pub(crate) const SHADER: &str = concat!(
     include_str!("frame.wgsl"),
@@ -10,26 +10,7 @@ pub(crate) const SHADER: &str = concat!(
     include_str!("project.wgsl")
 );
 
-#[derive(Debug)]
-pub(crate) struct ProjectPass {
-    pub layout: wgpu::BindGroupLayout,
-    pub pipeline: wgpu::RenderPipeline,
-}
-
-impl ProjectPass {
-    pub fn new(kit: &Kit) -> Self {
-        let shader = kit.shader("project", SHADER);
-        let layout = kit.textures("project", &[Texture::Float, Texture::Uint, Texture::Uint]);
-        let stage = Stage {
-            label: "project",
-            vertex: "vertex",
-            fragment: "fragment",
-            targets: &[(RECORD_FORMAT, None); 2],
-            writes: true,
-            depth: Depth::None,
-            quads: false,
-        };
-        let pipeline = kit.pipeline(&shader, &layout, &stage);
-        Self { layout, pipeline }
-    }
+pub(crate) fn pass(kit: &Kit) -> Pass {
+    let textures = [FLOAT, UINT, UINT];
+    kit.pass("project", SHADER, &textures, &Stage::over(&[(RECORD_FORMAT, None); 2]))
 }

@@ -1,24 +1,10 @@
 //! Gaussians between the layers, summed in any order.
 
 use super::pipeline::{ADDITIVE, Depth, Stage};
-use super::{Fading, Kit, Texture};
+use super::{Fading, Kit, UINT};
 
-macro_rules! shader {
-    ($fade:literal) => {
-        concat!(
-            include_str!("frame.wgsl"),
-            include_str!("ellipse.wgsl"),
-            include_str!($fade),
-            include_str!("splat.wgsl")
-        )
-    };
-}
-
-pub(crate) const fn shader(fading: Fading) -> &'static str {
-    match fading {
-        Fading::Whole => shader!("fade_whole.wgsl"),
-        Fading::Paged => shader!("fade_paged.wgsl"),
-    }
+pub(crate) fn shader(fading: Fading) -> String {
+    [include_str!("frame.wgsl"), include_str!("ellipse.wgsl"), fading.shader(), include_str!("splat.wgsl")].concat()
 }
 
 #[derive(Debug)]
@@ -27,36 +13,24 @@ pub(crate) struct SplatPass {
     one_layer: wgpu::RenderPipeline,
     three_layers: wgpu::RenderPipeline,
     four_layers: wgpu::RenderPipeline,
-    /// Counts fragments.
     pub count: wgpu::RenderPipeline,
 }
 
 impl SplatPass {
     pub fn new(kit: &Kit, sums: wgpu::TextureFormat, fading: Fading) -> Self {
-        let shader = kit.shader("splat", shader(fading));
-        let layout = kit.textures("splat", &fading.with_factors(&[Texture::Uint; 4]));
-        let pipeline = |fragment| {
-            let stage = Stage {
-                label: "splat",
-                vertex: "vertex",
-                fragment,
-                targets: &[(sums, Some(ADDITIVE))],
-                writes: true,
-                depth: Depth::Test,
-                quads: true,
-            };
-            kit.pipeline(&shader, &layout, &stage)
-        };
+        let program = kit.program("splat", shader(fading), &fading.with_factors(&[UINT; 4]));
+        let targets = [(sums, Some(ADDITIVE))];
+        let stage = Stage { depth: Depth::Test, quads: true, ..Stage::over(&targets) };
+        let pipeline = |fragment| program.pipeline(&Stage { fragment, ..stage });
         Self {
             one_layer: pipeline("one_layer"),
             three_layers: pipeline("three_layers"),
             four_layers: pipeline("four_layers"),
             count: pipeline("count"),
-            layout,
+            layout: program.layout,
         }
     }
 
-    /// The pipeline for K = `layers`.
     pub fn of(&self, layers: usize) -> &wgpu::RenderPipeline {
         match layers {
             1 => &self.one_layer,

@@ -20,9 +20,6 @@ pub struct CameraPath {
 
 impl CameraPath {
     /// A way through `keys`, in the coordinates of the scene; `closed` ones return from the last to the first.
-    ///
-    /// # Errors
-    /// [`PathError::Empty`] without keys.
     pub fn new(keys: Vec<Camera>, closed: bool) -> Result<Self, PathError> {
         if keys.is_empty() { Err(PathError::Empty) } else { Ok(Self { keys, closed }) }
     }
@@ -46,8 +43,7 @@ impl CameraPath {
             let index = if self.closed { index.rem_euclid(count as isize) } else { index.clamp(0, count as isize - 1) };
             &self.keys[index as usize]
         };
-        let [before, from, to, after] = [-1, 0, 1, 2].map(|offset| key(offset).centre());
-        let centre = catmull_rom([before, from, to, after], share);
+        let centre = catmull_rom([-1, 0, 1, 2].map(|offset| key(offset).centre()), share);
         let world_from_camera = turn(key(0)).slerp(turn(key(1)), share);
         let between = |a: f64, b: f64| a + share * (b - a);
         let first = &self.keys[0];
@@ -90,23 +86,9 @@ fn catmull_rom([before, from, to, after]: [DVec3; 4], t: f64) -> DVec3 {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
-
-    pub fn camera(eye: [f64; 3], fx: f64) -> Camera {
-        let pose = CameraFromWorld::look_at(eye.into(), DVec3::ZERO, DVec3::Z);
-        Camera {
-            camera_from_world: pose,
-            fx,
-            fy: fx,
-            cx: 32.0,
-            cy: 24.0,
-            width: 64,
-            height: 48,
-            near: 0.01,
-            lens: None,
-        }
-    }
+    use crate::fixtures::camera;
 
     fn keys() -> Vec<Camera> {
         vec![camera([4.0, 0.0, 1.0], 50.0), camera([0.0, 4.0, 1.0], 60.0), camera([-4.0, 0.5, 2.0], 50.0)]

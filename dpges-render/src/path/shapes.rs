@@ -7,7 +7,6 @@ use glam::{DMat3, DVec3};
 
 use super::{CameraPath, PathError};
 
-/// Keys of a turn.
 const KEYS: usize = 24;
 
 /// Where cameras stand and what they look at.
@@ -16,7 +15,6 @@ struct Surroundings {
     focus: DVec3,
     /// Mean of what is up in the pictures.
     up: DVec3,
-    /// Mean of the centres.
     middle: DVec3,
     /// Mean distance of the centres from the focus.
     distance: f64,
@@ -62,9 +60,6 @@ fn looking(camera: &Camera, eye: DVec3, target: DVec3, up: DVec3) -> Camera {
 impl CameraPath {
     /// A circle around what `cameras` look at, as far from it and as high as they are on average, with the lens and
     /// size of the first.
-    ///
-    /// # Errors
-    /// [`PathError::Empty`] without cameras.
     pub fn orbit(cameras: &[Camera]) -> Result<Self, PathError> {
         let first = cameras.first().ok_or(PathError::Empty)?;
         let around = Surroundings::new(cameras);
@@ -81,9 +76,6 @@ impl CameraPath {
 
     /// Two small turns about the middle of `cameras`, nearer and further, with a look at what they look at: for scenes
     /// that face one way.
-    ///
-    /// # Errors
-    /// [`PathError::Empty`] without cameras.
     pub fn spiral(cameras: &[Camera]) -> Result<Self, PathError> {
         let first = cameras.first().ok_or(PathError::Empty)?;
         let around = Surroundings::new(cameras);
@@ -104,7 +96,7 @@ impl CameraPath {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::path::tests::camera;
+    use crate::fixtures::camera;
 
     fn ring() -> Vec<Camera> {
         (0..12)

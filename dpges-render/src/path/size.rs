@@ -46,6 +46,7 @@ mod tests {
     use glam::{DMat3, DVec3};
 
     use super::*;
+    use crate::fixtures::pinhole;
 
     #[test]
     fn sizes_are_read_and_wrong_ones_explained() {
@@ -58,8 +59,7 @@ mod tests {
     #[test]
     fn another_size_keeps_the_vertical_field_of_view_and_what_is_in_the_middle() {
         let camera_from_world = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-        let (fx, fy, cx, cy, near, lens) = (50.0, 60.0, 22.0, 9.0, 0.1, None);
-        let camera = Camera { camera_from_world, fx, fy, cx, cy, width: 40, height: 20, near, lens };
+        let camera = Camera { fy: 60.0, cx: 22.0, cy: 9.0, ..pinhole(camera_from_world, 50.0, [40, 20]) };
         let wide = Size { width: 160, height: 40 }.apply(&camera);
         assert_eq!((wide.fx, wide.fy, wide.width, wide.height), (100.0, 120.0, 160, 40));
         assert_eq!((wide.cx, wide.cy), (84.0, 18.0));

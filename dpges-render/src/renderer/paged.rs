@@ -6,7 +6,7 @@ use dpges_core::scene::SceneData;
 
 use super::Renderer;
 use crate::error::Result;
-use crate::scene::{Fades, PackedCell, Places, SceneTextures};
+use crate::scene::{Fades, PackedCell, Places, SceneTextures, joined};
 
 impl Renderer {
     /// Takes, in place of what was there, a scene of which nothing is there yet but what all cells share, with room for as
@@ -16,13 +16,12 @@ impl Renderer {
     /// [`RenderError::TooMany`](crate::RenderError::TooMany), [`RenderError::Input`](crate::RenderError::Input) as
     /// [`upload`](Self::upload); what was there stays.
     pub(crate) fn open_pages(&mut self, coarse: &SceneData, room: [usize; 2]) -> Result<()> {
-        let textures = SceneTextures::with_room(&self.device, &self.queue, coarse, room)?;
+        let textures = SceneTextures::with_room(&self.device, coarse, room)?;
         let fades = Fades::new(&self.device, &textures)?;
-        self.take(textures, Vec::new(), [Vec::new(), Vec::new()], Some(fades));
+        self.take(textures, Vec::new(), Default::default(), Some(fades));
         Ok(())
     }
 
-    /// Writes a cell to its places.
     pub(crate) fn write_cell(&self, cell: &PackedCell, places: &Places) {
         if let Some(scene) = &self.scene {
             cell.write(&self.queue, &scene.textures, places);
@@ -38,14 +37,8 @@ impl Renderer {
         scene.drawn = [0, 1].map(|kind: usize| {
             let mut all: Vec<Range<u32>> = drawn.iter().flat_map(|(places, _)| places[kind].clone()).collect();
             all.sort_unstable_by_key(|range| range.start);
-            // cells that follow each other are drawn by one command
-            all.into_iter().fold(Vec::new(), |mut joined: Vec<Range<u32>>, range| {
-                match joined.last_mut() {
-                    Some(last) if last.end == range.start => last.end = range.end,
-                    _ => joined.push(range),
-                }
-                joined
-            })
+            // one command for each
+            joined(all)
         });
     }
 }

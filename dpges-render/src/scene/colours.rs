@@ -9,63 +9,65 @@ use half::f16;
 
 use super::packing::fraction;
 
-/// b of the softplus ln(1 + e^(b x)) / b.
+/// b of the softplus ln(1 + e^(b x)) / b: a raw value of 0 means 0.1.
 const SHARPNESS: f64 = 10.0 * std::f64::consts::LN_2;
 const LOBE_WORDS: usize = 3;
-const COEFFICIENT_WORDS: usize = 2;
-const BASE_WORDS: usize = 2;
+/// Of a base colour, or of a coefficient.
+const RGB_WORDS: usize = 2;
 
 /// Texels of four words that a primitive has.
 pub fn texels(model: ColourModel) -> usize {
-    let words = BASE_WORDS
-        + match model {
-            ColourModel::SphericalBeta { lobes } => LOBE_WORDS * lobes,
-            ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
-                COEFFICIENT_WORDS * model.detail_len() / 3
-            }
-        };
-    words.div_ceil(4)
+    let detail = match model {
+        ColourModel::SphericalBeta { lobes } => LOBE_WORDS * lobes,
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+            RGB_WORDS * model.detail_len() / 3
+        }
+    };
+    (RGB_WORDS + detail).div_ceil(4)
 }
 
-/// All texels, those of the first primitive first.
 pub fn pack(colours: &ColourData) -> Vec<[u32; 4]> {
     let model = colours.model;
     let (bases, _) = colours.base.as_chunks::<3>();
     let width = model.detail_len();
     let mut packed = Vec::with_capacity(bases.len() * texels(model));
-    let mut words = vec![0; 4 * texels(model)];
+    let mut words = Vec::with_capacity(4 * texels(model));
     for (row, base) in bases.iter().enumerate() {
-        let [r, g, b] = base.map(|k| 0.5 + SH_C0 * f64::from(k));
-        words[..BASE_WORDS].copy_from_slice(&[halves(r, g), halves(b, 0.0)]);
+        words.clear();
+        words.extend(rgb(base.map(|k| 0.5 + SH_C0 * f64::from(k))));
         let detail = &colours.detail[row * width..(row + 1) * width];
-        let rest = &mut words[BASE_WORDS..];
         match model {
-            ColourModel::SphericalBeta { .. } => {
-                let (lobes, _) = detail.as_chunks::<6>();
-                rest.chunks_exact_mut(LOBE_WORDS).zip(lobes).for_each(|(words, raw)| words.copy_from_slice(&lobe(raw)));
-            }
+            ColourModel::SphericalBeta { .. } => words.extend(detail.as_chunks::<6>().0.iter().flat_map(lobe)),
             ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
-                let (coefficients, _) = detail.as_chunks::<3>();
-                for (words, c) in rest.chunks_exact_mut(COEFFICIENT_WORDS).zip(coefficients) {
-                    let [r, g, b] = c.map(f64::from);
-                    words.copy_from_slice(&[halves(r, g), halves(b, 0.0)]);
-                }
+                words.extend(detail.as_chunks::<3>().0.iter().flat_map(|k| rgb(k.map(f64::from))));
             }
         }
+        words.resize(4 * texels(model), 0);
         packed.extend(words.as_chunks::<4>().0);
     }
     packed
 }
 
+fn rgb([red, green, blue]: [f64; 3]) -> [u32; RGB_WORDS] {
+    [halves(red, green), halves(blue, 0.0)]
+}
+
 fn lobe(raw: &[f32; 6]) -> [u32; LOBE_WORDS] {
     let [r, g, b, theta, phi, beta] = raw.map(f64::from);
-    let [r, g, b] = [r, g, b].map(|raw| {
-        let x = SHARPNESS * raw;
-        (x.max(0.0) + (-x.abs()).exp().ln_1p()) / SHARPNESS
-    });
-    let axis = [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()];
-    let [u, v] = octahedron(axis).map(fraction);
+    let [r, g, b] = [r, g, b].map(softplus);
+    let [u, v] = octahedron(lobe_axis(theta, phi)).map(fraction);
     [halves(r, g), halves(b, 4.0 * beta.exp()), u | v << 16]
+}
+
+/// A colour of a lobe from its raw number.
+pub fn softplus(raw: f64) -> f64 {
+    let x = SHARPNESS * raw;
+    (x.max(0.0) + (-x.abs()).exp().ln_1p()) / SHARPNESS
+}
+
+/// Unit vector of a lobe with these angles, rad.
+pub fn lobe_axis(theta: f64, phi: f64) -> [f64; 3] {
+    [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()]
 }
 
 /// A unit vector as a point of the square from −1 to 1.

@@ -5,5 +5,10 @@ mod packing;
 mod pages;
 mod textures;
 
-pub(crate) use pages::{Fades, PAGE, PackedCell, Places};
-pub(crate) use textures::{Grid, SceneTextures};
+#[cfg(feature = "export")]
+pub(crate) use colours::{lobe_axis, softplus};
+#[cfg(feature = "export")]
+pub(crate) use packing::unit_quaternion;
+pub use pages::PackedCell;
+pub(crate) use pages::{Fades, PAGE, Places, joined};
+pub(crate) use textures::{Grid, SceneTextures, write};

@@ -5,11 +5,9 @@
 
 use dpges_core::scene::{GaussianData, SurfelData};
 
-/// Log-scales of Gaussians are bounded by ± this.
 const LARGEST_LOG_SCALE: f32 = 32.0;
 const LOG_SCALE_STEPS: f32 = ((1 << 21) - 1) as f32;
 
-/// Texels A and B of every primitive.
 #[derive(Debug)]
 pub struct Shapes {
     pub places: Vec<[f32; 4]>,
@@ -18,36 +16,41 @@ pub struct Shapes {
 
 /// A: position, margin. B: quaternion, log-scales.
 pub fn surfels(surfels: &SurfelData) -> Shapes {
-    let (positions, _) = surfels.positions.as_chunks::<3>();
-    let (quaternions, _) = surfels.quaternions.as_chunks::<4>();
-    let (log_scales, _) = surfels.log_scales.as_chunks::<2>();
-    let places = positions.iter().zip(&surfels.margins).map(|(&[x, y, z], &margin)| [x, y, z, margin]).collect();
-    let forms = quaternions.iter().zip(log_scales).map(|(&quaternion, scales)| {
-        let [wx, yz] = pack_quaternion(quaternion);
-        [wx, yz, scales[0].to_bits(), scales[1].to_bits()]
-    });
-    Shapes { places, forms: forms.collect() }
+    let log_scales = surfels.log_scales.as_chunks::<2>().0.iter().map(|scales| scales.map(f32::to_bits));
+    shapes(&surfels.positions, &surfels.margins, &surfels.quaternions, log_scales)
 }
 
 /// A: position, opacity. B: quaternion, log-scales.
 pub fn gaussians(gaussians: &GaussianData) -> Shapes {
-    let (positions, _) = gaussians.positions.as_chunks::<3>();
-    let (quaternions, _) = gaussians.quaternions.as_chunks::<4>();
-    let (log_scales, _) = gaussians.log_scales.as_chunks::<3>();
-    let places = positions.iter().zip(&gaussians.opacities).map(|(&[x, y, z], &opacity)| [x, y, z, opacity]).collect();
-    let forms = quaternions.iter().zip(log_scales).map(|(&quaternion, &scales)| {
-        let ([wx, yz], [low, high]) = (pack_quaternion(quaternion), pack_log_scales(scales));
-        [wx, yz, low, high]
-    });
-    Shapes { places, forms: forms.collect() }
+    let log_scales = gaussians.log_scales.as_chunks::<3>().0.iter().map(|&scales| pack_log_scales(scales));
+    shapes(&gaussians.positions, &gaussians.opacities, &gaussians.quaternions, log_scales)
 }
 
-/// Unit quaternion (w, x, y, z) as four signed 16-bit fractions; the identity for a zero quaternion.
-fn pack_quaternion(quaternion: [f32; 4]) -> [u32; 2] {
+fn shapes(
+    positions: &[f32],
+    scalars: &[f32],
+    quaternions: &[f32],
+    log_scales: impl Iterator<Item = [u32; 2]>,
+) -> Shapes {
+    let (positions, quaternions) = (positions.as_chunks::<3>().0.iter(), quaternions.as_chunks::<4>().0.iter());
+    let forms = quaternions.zip(log_scales).map(|(&quaternion, [low, high])| {
+        let [wx, yz] = pack_quaternion(quaternion);
+        [wx, yz, low, high]
+    });
+    let places = positions.zip(scalars).map(|(&[x, y, z], &scalar)| [x, y, z, scalar]);
+    Shapes { places: places.collect(), forms: forms.collect() }
+}
+
+/// A quaternion (w, x, y, z) at unit length; the identity for a zero quaternion.
+pub fn unit_quaternion(quaternion: [f32; 4]) -> [f64; 4] {
     let wide = quaternion.map(f64::from);
     let length = wide.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let unit = if length > 1e-12 { wide.map(|v| v / length) } else { [1.0, 0.0, 0.0, 0.0] };
-    let [w, x, y, z] = unit.map(fraction);
+    if length > 1e-12 { wide.map(|v| v / length) } else { [1.0, 0.0, 0.0, 0.0] }
+}
+
+/// Unit quaternion (w, x, y, z) as four signed 16-bit fractions.
+fn pack_quaternion(quaternion: [f32; 4]) -> [u32; 2] {
+    let [w, x, y, z] = unit_quaternion(quaternion).map(fraction);
     [w | x << 16, y | z << 16]
 }
 

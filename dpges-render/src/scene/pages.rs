@@ -4,7 +4,8 @@ use std::ops::Range;
 
 use dpges_core::scene::SceneData;
 
-use super::textures::{Grid, Packed, SceneTextures, descriptor, write};
+use super::packing;
+use super::textures::{Grid, Packed, SceneTextures, write};
 use crate::error::Result;
 
 /// Primitives of a page: `PAGE` of `fade_paged.wgsl`.
@@ -12,6 +13,17 @@ pub const PAGE: usize = 256;
 
 /// Where the primitives of a cell are: surfels, Gaussians. Ranges begin with a page.
 pub type Places = [Vec<Range<u32>>; 2];
+
+/// The same ranges; those that follow each other are one.
+pub fn joined(ranges: impl IntoIterator<Item = Range<u32>>) -> Vec<Range<u32>> {
+    ranges.into_iter().fold(Vec::new(), |mut joined: Vec<Range<u32>>, range| {
+        match joined.last_mut() {
+            Some(last) if last.end == range.start => last.end = range.end,
+            _ => joined.push(range),
+        }
+        joined
+    })
+}
 
 /// A factor per page of surfels, and of Gaussians, in textures as wide as the grids of primitives.
 #[derive(Debug)]
@@ -21,16 +33,10 @@ pub struct Fades {
 }
 
 impl Fades {
-    /// # Errors
-    /// [`RenderError::TooMany`](crate::RenderError::TooMany), which the textures of the primitives themselves are the first to have.
     pub fn new(device: &wgpu::Device, scene: &SceneTextures) -> Result<Self> {
         let grid = |what, count: usize| Grid::new(&device.limits(), what, count.div_ceil(PAGE), 1);
         let grids = [grid("surfels", scene.surfels.count)?, grid("Gaussians", scene.gaussians.count)?];
-        let view = |grid: Grid| {
-            let texture = device.create_texture(&descriptor(grid, wgpu::TextureFormat::R32Float));
-            texture.create_view(&wgpu::TextureViewDescriptor::default())
-        };
-        Ok(Self { views: grids.map(view), grids })
+        Ok(Self { views: grids.map(|grid| grid.texture(device, wgpu::TextureFormat::R32Float)), grids })
     }
 
     /// Writes the factors of all pages: those of cells that are drawn, and 0 elsewhere.
@@ -49,16 +55,19 @@ impl Fades {
     }
 }
 
-/// The primitives of a cell as texels.
+/// The primitives of a scene, or of a cell of one, as texels.
 #[derive(Debug)]
 pub struct PackedCell([Packed; 2]);
 
 impl PackedCell {
     pub fn new(scene: &SceneData) -> Self {
-        Self([Packed::surfels(&scene.surfels), Packed::gaussians(&scene.gaussians)])
+        let SceneData { surfels, gaussians, .. } = scene;
+        Self([
+            Packed::new(packing::surfels(surfels), &surfels.colour),
+            Packed::new(packing::gaussians(gaussians), &gaussians.colour),
+        ])
     }
 
-    /// Writes them to their places.
     pub fn write(&self, queue: &wgpu::Queue, textures: &SceneTextures, places: &Places) {
         textures.surfels.write(queue, &places[0], &self.0[0]);
         textures.gaussians.write(queue, &places[1], &self.0[1]);

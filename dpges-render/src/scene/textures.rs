@@ -2,13 +2,13 @@
 
 use std::ops::Range;
 
-use dpges_core::scene::{ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
-use wgpu::util::DeviceExt;
+use dpges_core::scene::{ColourData, ColourModel, Rendering, SceneData, SceneInfo};
 
-use super::{colours, packing};
+use super::colours;
+use super::packing::Shapes;
 use crate::error::{RenderError, Result};
+use crate::texture;
 
-/// Widest grid, px.
 const WIDEST: u32 = 8192;
 
 /// How texels that belong to primitives are laid out in a texture.
@@ -20,8 +20,6 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// # Errors
-    /// [`RenderError::TooMany`] if `count` × `texels` do not fit.
     pub fn new(limits: &wgpu::Limits, what: &'static str, count: usize, texels: usize) -> Result<Self> {
         let side_px = limits.max_texture_dimension_2d;
         let log2_width = side_px.min(WIDEST).ilog2();
@@ -34,40 +32,37 @@ impl Grid {
     }
 
     pub fn size(self) -> wgpu::Extent3d {
-        wgpu::Extent3d { width: 1 << self.log2_width, height: self.rows, depth_or_array_layers: 1 }
+        texture::size(1 << self.log2_width, self.rows)
     }
 
     pub fn len(self) -> usize {
         (self.rows as usize) << self.log2_width
     }
+
+    /// A texture that is written by the host and read by shaders.
+    pub fn texture(self, device: &wgpu::Device, format: wgpu::TextureFormat) -> wgpu::TextureView {
+        let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
+        texture::texture(device, self.size(), format, usage)
+    }
 }
 
-/// Primitives of one kind as texels.
 #[derive(Debug)]
 pub struct Packed {
-    shapes: packing::Shapes,
+    shapes: Shapes,
     /// See [`colours`].
     colours: Vec<[u32; 4]>,
     model: ColourModel,
 }
 
 impl Packed {
-    pub fn surfels(surfels: &SurfelData) -> Self {
-        let (shapes, colour) = (packing::surfels(surfels), &surfels.colour);
-        Self { shapes, colours: colours::pack(colour), model: colour.model }
-    }
-
-    pub fn gaussians(gaussians: &GaussianData) -> Self {
-        let (shapes, colour) = (packing::gaussians(gaussians), &gaussians.colour);
+    pub fn new(shapes: Shapes, colour: &ColourData) -> Self {
         Self { shapes, colours: colours::pack(colour), model: colour.model }
     }
 }
 
-/// Primitives of one kind.
 #[derive(Debug)]
 pub struct Primitives {
     pub count: usize,
-    /// Grid of one texel per primitive.
     pub grid: Grid,
     /// Rgba32Float: position, margin of a surfel or opacity of a Gaussian.
     pub places: wgpu::TextureView,
@@ -78,6 +73,20 @@ pub struct Primitives {
 }
 
 impl Primitives {
+    /// Room for `count`, of which none is there.
+    fn with_room(device: &wgpu::Device, what: &'static str, count: usize, model: ColourModel) -> Result<Self> {
+        let limits = device.limits();
+        let grid = Grid::new(&limits, what, count, 1)?;
+        let wide = Grid::new(&limits, what, count, colours::texels(model))?;
+        Ok(Self {
+            count,
+            grid,
+            places: grid.texture(device, wgpu::TextureFormat::Rgba32Float),
+            forms: grid.texture(device, wgpu::TextureFormat::Rgba32Uint),
+            colours: wide.texture(device, wgpu::TextureFormat::Rgba32Uint),
+        })
+    }
+
     /// Writes `packed` to the `places` in the grid, whose lengths add up to their number.
     pub fn write(&self, queue: &wgpu::Queue, places: &[Range<u32>], packed: &Packed) {
         let texels = colours::texels(packed.model);
@@ -106,13 +115,12 @@ pub fn write<T: bytemuck::Pod>(queue: &wgpu::Queue, view: &wgpu::TextureView, gr
         let to = wgpu::TexelCopyTextureInfo { origin, ..view.texture().as_image_copy() };
         let bytes_per_row = Some((size[0] * size_of::<T>()) as u32);
         let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row, rows_per_image: None };
-        let extent = wgpu::Extent3d { width: size[0] as u32, height: size[1] as u32, depth_or_array_layers: 1 };
-        queue.write_texture(to, bytemuck::cast_slice(now), layout, extent);
+        let size = texture::size(size[0] as u32, size[1] as u32);
+        queue.write_texture(to, bytemuck::cast_slice(now), layout, size);
         (at, rest) = (at + now.len(), later);
     }
 }
 
-/// A scene on a device.
 #[derive(Debug)]
 pub struct SceneTextures {
     pub info: SceneInfo,
@@ -120,7 +128,6 @@ pub struct SceneTextures {
     pub environment: Vec<[f32; 3]>,
     pub surfels: Primitives,
     pub gaussians: Primitives,
-    /// Texels per primitive of the textures of colours.
     pub colour_texels: usize,
     /// World positions `[n, 3]` of at most a few thousand primitives.
     pub sample: Vec<[f32; 3]>,
@@ -130,30 +137,11 @@ pub struct SceneTextures {
 const SAMPLE: usize = 4096;
 
 impl SceneTextures {
-    /// # Errors
-    /// [`RenderError::TooMany`], [`RenderError::Input`] for an environment of no degree.
-    pub fn new(device: &wgpu::Device, queue: &wgpu::Queue, scene: &SceneData) -> Result<Self> {
-        let upload = Upload { device, queue };
-        let surfels = upload.primitives("surfels", Packed::surfels(&scene.surfels))?;
-        let gaussians = upload.primitives("Gaussians", Packed::gaussians(&scene.gaussians))?;
-        Self::of(scene, surfels, gaussians)
-    }
-
     /// Room for as many surfels and Gaussians, of which none is there; everything else is that of `scene`.
-    ///
-    /// # Errors
-    /// The errors of [`new`](Self::new).
-    pub fn with_room(
-        device: &wgpu::Device,
-        queue: &wgpu::Queue,
-        scene: &SceneData,
-        [surfels, gaussians]: [usize; 2],
-    ) -> Result<Self> {
-        let (upload, model) = (Upload { device, queue }, scene.info.colour_model);
-        Self::of(scene, upload.room("surfels", surfels, model)?, upload.room("Gaussians", gaussians, model)?)
-    }
-
-    fn of(scene: &SceneData, surfels: Primitives, gaussians: Primitives) -> Result<Self> {
+    pub fn with_room(device: &wgpu::Device, scene: &SceneData, [surfels, gaussians]: [usize; 2]) -> Result<Self> {
+        let model = scene.info.colour_model;
+        let surfels = Primitives::with_room(device, "surfels", surfels, model)?;
+        let gaussians = Primitives::with_room(device, "Gaussians", gaussians, model)?;
         let all = if scene.surfels.is_empty() { &scene.gaussians.positions } else { &scene.surfels.positions };
         let (positions, _) = all.as_chunks::<3>();
         let sample = positions.iter().step_by((positions.len() / SAMPLE).max(1)).copied().collect();
@@ -171,70 +159,6 @@ impl SceneTextures {
     pub fn is_peeled(&self) -> bool {
         self.info.rendering == Rendering::Peeled
     }
-}
-
-struct Upload<'a> {
-    device: &'a wgpu::Device,
-    queue: &'a wgpu::Queue,
-}
-
-impl Upload<'_> {
-    fn primitives(&self, what: &'static str, packed: Packed) -> Result<Primitives> {
-        let (count, limits) = (packed.shapes.places.len(), self.device.limits());
-        let grid = Grid::new(&limits, what, count, 1)?;
-        let wide = Grid::new(&limits, what, count, colours::texels(packed.model))?;
-        Ok(Primitives {
-            count,
-            grid,
-            places: self.texture(grid, wgpu::TextureFormat::Rgba32Float, packed.shapes.places),
-            forms: self.texture(grid, wgpu::TextureFormat::Rgba32Uint, packed.shapes.forms),
-            colours: self.texture(wide, wgpu::TextureFormat::Rgba32Uint, packed.colours),
-        })
-    }
-
-    fn room(&self, what: &'static str, count: usize, model: ColourModel) -> Result<Primitives> {
-        let limits = self.device.limits();
-        let grid = Grid::new(&limits, what, count, 1)?;
-        let wide = Grid::new(&limits, what, count, colours::texels(model))?;
-        let empty = |grid: Grid, format| view(&self.device.create_texture(&descriptor(grid, format)));
-        Ok(Primitives {
-            count,
-            grid,
-            places: empty(grid, wgpu::TextureFormat::Rgba32Float),
-            forms: empty(grid, wgpu::TextureFormat::Rgba32Uint),
-            colours: empty(wide, wgpu::TextureFormat::Rgba32Uint),
-        })
-    }
-
-    fn texture<T: bytemuck::Pod>(
-        &self,
-        grid: Grid,
-        format: wgpu::TextureFormat,
-        mut texels: Vec<[T; 4]>,
-    ) -> wgpu::TextureView {
-        texels.resize(grid.len(), [T::zeroed(); 4]);
-        let order = wgpu::util::TextureDataOrder::LayerMajor;
-        let bytes = bytemuck::cast_slice(&texels);
-        view(&self.device.create_texture_with_data(self.queue, &descriptor(grid, format), order, bytes))
-    }
-}
-
-/// A texture that is written by the host and read by shaders.
-pub fn descriptor(grid: Grid, format: wgpu::TextureFormat) -> wgpu::TextureDescriptor<'static> {
-    wgpu::TextureDescriptor {
-        label: Some("scene"),
-        size: grid.size(),
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format,
-        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-        view_formats: &[],
-    }
-}
-
-fn view(texture: &wgpu::Texture) -> wgpu::TextureView {
-    texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The cut that a camera asks for: which cells are to be replaced by their children.
 
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use dpges_core::camera::Camera;
@@ -15,32 +15,6 @@ const HELD: f64 = 1.25;
 /// Weight of cells outside the picture: near ones are there when the camera turns, if the budget has room for them.
 const OUTSIDE: f64 = 0.1;
 
-/// A cell that may be refined.
-struct Candidate {
-    priority: f64,
-    cell: usize,
-}
-
-impl Ord for Candidate {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.priority.total_cmp(&other.priority).then(other.cell.cmp(&self.cell))
-    }
-}
-
-impl PartialOrd for Candidate {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Candidate {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Candidate {}
-
 /// The inner cells that a cut of at most `room` primitives lies below, those with the largest primitives on the screen of
 /// `camera` first; with `everything`, down to level 0 however small these are. `refined` says which of them are refined now,
 /// `blocked` which cannot be.
@@ -54,15 +28,17 @@ pub(super) fn refinements(
 ) -> Vec<usize> {
     let least = if everything { 0.0 } else { LEAST_PX };
     let view = View::new(camera);
+    // the widest first, then the first; widths are not negative, so that their bits are in their order
     let candidate = |cell: usize| {
         let hold = if refined(cell) { HELD } else { 1.0 };
         let priority = hold * view.width_px(&index.cells[cell], hold);
-        (!index.cells[cell].children.is_empty() && priority >= least).then_some(Candidate { priority, cell })
+        let may_be_refined = !index.cells[cell].children.is_empty() && priority >= least;
+        may_be_refined.then(|| (priority.to_bits(), Reverse(cell)))
     };
     let mut cost = index.roots().map(|cell| index.cells[cell].primitives()).sum::<usize>();
-    let mut candidates: BinaryHeap<Candidate> = index.roots().filter_map(candidate).collect();
+    let mut candidates: BinaryHeap<_> = index.roots().filter_map(candidate).collect();
     let mut found = Vec::new();
-    while let Some(Candidate { cell, .. }) = candidates.pop() {
+    while let Some((_, Reverse(cell))) = candidates.pop() {
         let finer = cost - index.cells[cell].primitives() + children_primitives(index, cell);
         if finer > room || blocked(cell) {
             continue;
@@ -74,12 +50,10 @@ pub(super) fn refinements(
     found
 }
 
-/// Primitives of all children of a cell.
 pub(super) fn children_primitives(index: &Index, cell: usize) -> usize {
     index.cells[cell].children.iter().map(|&child| index.cells[child].primitives()).sum()
 }
 
-/// A camera that measures boxes.
 struct View<'a> {
     camera: &'a Camera,
     eye: DVec3,

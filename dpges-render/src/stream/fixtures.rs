@@ -4,8 +4,10 @@ use std::path::Path;
 
 use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::scene::lod::{Cell, INDEX, Index, Part};
-use dpges_core::scene::{EnvironmentData, GaussianData, Quality, SceneData, SceneInfo, SurfelData};
+use dpges_core::scene::{EnvironmentData, Quality, SceneData, SceneInfo};
 use glam::DVec3;
+
+use crate::fixtures::{neutral, pinhole};
 
 /// Primitives of every cell of [`forest`].
 pub const PRIMITIVES: usize = 100;
@@ -13,17 +15,7 @@ pub const PRIMITIVES: usize = 100;
 /// A camera of 100 × 100 px at `eye` that looks along z.
 pub fn camera(eye: [f64; 3]) -> Camera {
     let eye = DVec3::from(eye);
-    Camera {
-        camera_from_world: CameraFromWorld::look_at(eye, eye + DVec3::Z, DVec3::NEG_Y),
-        fx: 100.0,
-        fy: 100.0,
-        cx: 50.0,
-        cy: 50.0,
-        width: 100,
-        height: 100,
-        near: 0.01,
-        lens: None,
-    }
+    pinhole(CameraFromWorld::look_at(eye, eye + DVec3::Z, DVec3::NEG_Y), 100.0, [100, 100])
 }
 
 /// `roots` trees of `levels` below their roots, beside each other along x: of two children each, in halves of their
@@ -68,18 +60,18 @@ pub fn forest(roots: usize, levels: u32) -> Index {
     index
 }
 
-/// Writes a scene in levels of detail to `folder`: `cell(i)` is the scene of cell i of `index`, with the settings of the index.
-pub fn write(folder: &Path, mut index: Index, cell: impl Fn(usize) -> SceneData) -> Index {
+/// Writes a scene in levels of detail to `folder`: `cell(&index, i)` is the scene of cell i, with the settings of the index.
+pub fn write(folder: &Path, mut index: Index, cell: impl Fn(&Index, usize) -> SceneData) -> Index {
     let mut pack = Vec::new();
     for at in 0..index.cells.len() {
-        let scene = cell(at);
+        let scene = cell(&index, at);
         let bytes = scene.to_compressed(&Quality::HIGH, "cell".as_ref()).unwrap();
         let of = &mut index.cells[at];
         of.part = Part { file: "cells.pack".to_owned(), offset: pack.len() as u64, bytes: bytes.len() as u64 };
         (of.surfels, of.gaussians) = (scene.surfels.len(), scene.gaussians.len());
         pack.extend(bytes);
     }
-    let mut sky = nothing(&index);
+    let mut sky = neutral(index.settings.clone(), [0, 0]);
     sky.environment =
         Some(EnvironmentData { coefficients: [[0.2, 0.5, 1.0], [0.1, -0.1, 0.2], [0.0; 3], [0.0; 3]].concat() });
     let bytes = sky.to_compressed(&Quality::HIGH, "sky".as_ref()).unwrap();
@@ -90,16 +82,10 @@ pub fn write(folder: &Path, mut index: Index, cell: impl Fn(usize) -> SceneData)
     index
 }
 
-fn nothing(index: &Index) -> SceneData {
-    let (info, model) = (index.settings.clone(), index.settings.colour_model);
-    let (surfels, gaussians) = (SurfelData::neutral(model, 0), GaussianData::neutral(model, 0));
-    SceneData { info, surfels, gaussians, environment: None }
-}
-
 /// `surfels` and `gaussians` of all colours, turned at random, in the box of `cell`.
 pub fn filled(index: &Index, cell: usize, [surfels, gaussians]: [usize; 2]) -> SceneData {
     let (of, mut random) = (&index.cells[cell], Random(cell as u64 + 1));
-    let mut scene = nothing(index);
+    let mut scene = neutral(index.settings.clone(), [surfels, gaussians]);
     let mut numbers = |count: usize, low: f64, high: f64| -> Vec<f32> {
         (0..count).map(|_| (low + (high - low) * random.next()) as f32).collect()
     };
@@ -109,13 +95,10 @@ pub fn filled(index: &Index, cell: usize, [surfels, gaussians]: [usize; 2]) -> S
             |row: &[f32; 3]| [0, 1, 2].map(|axis: usize| of.min[axis] + row[axis] * (of.max[axis] - of.min[axis]));
         rows.iter().flat_map(place).collect()
     };
-    let model = index.settings.colour_model;
-    scene.surfels = SurfelData::neutral(model, surfels);
     scene.surfels.positions = places(numbers(3 * surfels, 0.0, 1.0));
     scene.surfels.quaternions = numbers(4 * surfels, -1.0, 1.0);
     scene.surfels.log_scales = numbers(2 * surfels, -3.5, -2.5);
     scene.surfels.colour.base = numbers(3 * surfels, -1.5, 1.5);
-    scene.gaussians = GaussianData::neutral(model, gaussians);
     scene.gaussians.positions = places(numbers(3 * gaussians, 0.0, 1.0));
     scene.gaussians.quaternions = numbers(4 * gaussians, -1.0, 1.0);
     scene.gaussians.log_scales = numbers(3 * gaussians, -4.0, -2.5);

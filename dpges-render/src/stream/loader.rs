@@ -28,13 +28,10 @@ pub struct Levels {
 
 impl Levels {
     /// Opens the folder or address `place`.
-    ///
-    /// # Errors
-    /// The errors of [`Source::new`], [`Source::index`], [`Source::read`], [`Source::cameras`] and [`LodScene::new`].
     pub fn open(place: &Path, budget: usize) -> Result<Self, StreamError> {
         let source = Source::new(place)?;
         let scene = LodScene::new(source.index()?, |part| source.read(part))?;
-        let cameras = source.cameras(scene.index().settings.near)?;
+        let cameras = source.cameras(scene.index.settings.near)?;
         Ok(Self { source, scene, cameras, budget })
     }
 
@@ -54,15 +51,11 @@ pub struct Loader {
     asked: Sender<usize>,
     ended: Receiver<Outcome>,
     opened: Instant,
-    /// Time that was skipped, s.
     skipped: f64,
 }
 
 impl Loader {
     /// Shows `levels` in `renderer`. Calls `wake` whenever a cell has come.
-    ///
-    /// # Errors
-    /// The errors of [`Stream::new`].
     pub fn new(
         Levels { source, scene, budget, .. }: Levels,
         renderer: &mut Renderer,
@@ -71,7 +64,7 @@ impl Loader {
         let stream = Stream::new(&scene, budget, renderer)?;
         let (asked, cells) = channel();
         let (end, ended) = channel();
-        let (index, cells) = (Arc::new(scene.index().clone()), Arc::new(Mutex::new(cells)));
+        let (index, cells) = (Arc::new(scene.index.clone()), Arc::new(Mutex::new(cells)));
         let threads = std::thread::available_parallelism().map_or(1, |count| count.get().min(THREADS));
         for _ in 0..threads {
             let (source, index, cells) = (source.clone(), Arc::clone(&index), Arc::clone(&cells));
@@ -94,16 +87,12 @@ impl Loader {
         }
     }
 
-    /// How far it is.
     pub fn status(&self) -> StreamStatus {
         self.stream.status(self.now())
     }
 
     /// Goes on until everything is there that `camera` needs, and nothing fades. Returns the largest number of primitives
     /// that were resident on the way.
-    ///
-    /// # Errors
-    /// [`StreamError::Cell`] if a cell cannot be loaded.
     pub fn complete(&mut self, renderer: &mut Renderer, camera: &Camera) -> Result<usize, StreamError> {
         let mut most = 0;
         loop {
@@ -131,7 +120,6 @@ impl Loader {
 
 const STOPPED: &str = "the threads that load cells have stopped";
 
-/// Loads cells until nobody asks for any.
 fn work(source: &Source, index: &Index, cells: &Mutex<Receiver<usize>>, end: &Sender<Outcome>, wake: &impl Fn()) {
     loop {
         let next = cells.lock().unwrap_or_else(PoisonError::into_inner).recv();

@@ -25,7 +25,7 @@ mod tests;
 use std::collections::VecDeque;
 
 use dpges_core::camera::Camera;
-use dpges_core::scene::lod::{Index, Part};
+use dpges_core::scene::lod::{Cell, Index, Part};
 
 #[cfg(not(target_arch = "wasm32"))]
 pub use loader::{Levels, Loader};
@@ -34,16 +34,14 @@ pub use scene::{LodScene, StreamError};
 pub use source::{Source, is_address, is_lod};
 
 use crate::renderer::Renderer;
-use crate::scene::{PAGE, PackedCell, Places};
+pub use crate::scene::PackedCell as LoadedCell;
+use crate::scene::{PAGE, Places};
 use pages::Pages;
 use residency::Residency;
 
 /// Primitives that are resident at most where no budget is given: what a desktop draws at tens of frames a second.
 pub const DEFAULT_BUDGET: usize = 2_000_000;
 /// A number of primitives, as in `2M`, `500k` or `1234567`.
-///
-/// # Errors
-/// A message that says what is expected.
 pub fn parse_budget(text: &str) -> Result<usize, String> {
     let (number, factor) = match text.char_indices().last() {
         Some((at, 'k')) => (&text[..at], 1e3),
@@ -60,32 +58,21 @@ pub fn parse_budget(text: &str) -> Result<usize, String> {
 /// Cells that are written to the device between two frames.
 const WRITES: usize = 2;
 
-/// A cell as it is written to a device.
-#[derive(Debug)]
-pub struct LoadedCell(PackedCell);
-
 /// Makes of the `bytes` of `cell` what [`Stream::take`] takes. Slow: made for another thread.
-///
-/// # Errors
-/// A message that names the fault of the bytes.
 pub fn decode(index: &Index, cell: usize, bytes: &[u8]) -> Result<LoadedCell, String> {
-    let scene = index.cell(cell, bytes).map_err(|error| error.to_string())?;
-    Ok(LoadedCell(PackedCell::new(&scene)))
+    index.cell(cell, bytes).map(|scene| LoadedCell::new(&scene)).map_err(|error| error.to_string())
 }
 
-/// How far a stream is.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct StreamStatus {
     /// Primitives that are drawn, loaded or being loaded; never more than the budget.
     pub resident: usize,
     pub budget: usize,
-    /// Cells that are being loaded.
     pub loading: usize,
     /// Whether everything is there that the last camera needs, apart from what could not be loaded.
     pub complete: bool,
     /// Whether the next frame differs though the camera stays.
     pub changing: bool,
-    /// How often what is drawn has changed.
     pub changes: u64,
     /// Cells that are missing because they could not be loaded, and why the first could not.
     pub failed: usize,
@@ -99,11 +86,9 @@ pub struct StreamStatus {
 pub struct Stream {
     residency: Residency,
     pages: [Pages; 2],
-    /// Where the cells are that are resident.
     places: Vec<Option<Places>>,
     /// Loads that have ended since the last frame.
     ended: VecDeque<(usize, Result<LoadedCell, String>)>,
-    /// How often what is drawn has changed.
     changes: u64,
 }
 
@@ -140,12 +125,9 @@ impl Stream {
     pub fn update(&mut self, renderer: &mut Renderer, camera: &Camera, now: f64) -> Vec<usize> {
         for _ in 0..WRITES {
             let Some((cell, outcome)) = self.ended.pop_front() else { break };
-            let (loaded, outcome) = match outcome {
-                Ok(loaded) => (Some(loaded), Ok(())),
-                Err(reason) => (None, Err(reason)),
-            };
-            if let (true, Some(loaded)) = (self.residency.loaded(cell, outcome, now), loaded) {
-                self.write(renderer, cell, &loaded);
+            let is_wanted = self.residency.loaded(cell, outcome.as_ref().err(), now);
+            if let (true, Ok(loaded)) = (is_wanted, &outcome) {
+                self.write(renderer, cell, loaded);
             }
         }
         let was_fading = self.residency.is_fading();
@@ -170,10 +152,10 @@ impl Stream {
     pub fn status(&self, now: f64) -> StreamStatus {
         let (failed, reason) = self.residency.failures();
         StreamStatus {
-            resident: self.residency.resident(),
-            budget: self.residency.budget(),
-            loading: self.residency.loading(),
-            complete: self.residency.is_complete() && self.ended.is_empty(),
+            resident: self.residency.resident,
+            budget: self.residency.budget,
+            loading: self.residency.loading,
+            complete: self.residency.complete && self.ended.is_empty(),
             changing: self.residency.is_fading() || !self.ended.is_empty(),
             changes: self.changes,
             failed,
@@ -182,7 +164,6 @@ impl Stream {
         }
     }
 
-    /// The part of a file that a cell is.
     pub fn part(&self, cell: usize) -> &Part {
         &self.residency.index.cells[cell].part
     }
@@ -197,7 +178,7 @@ impl Stream {
         let [surfels, gaussians] = [0, 1].map(|kind: usize| self.pages[kind].take(taken[kind]));
         let places = surfels.zip(gaussians).expect("`room` has pages for whatever the budget holds");
         let places = [places.0, places.1];
-        renderer.write_cell(&loaded.0, &places);
+        renderer.write_cell(loaded, &places);
         self.places[cell] = Some(places);
     }
 }
@@ -214,9 +195,10 @@ fn room(index: &Index, budget: usize) -> [usize; 2] {
         fits
     });
     let cells = cells.count();
-    let all = index
-        .cells
-        .iter()
-        .fold([0, 0], |[surfels, gaussians], cell| [surfels + cell.surfels, gaussians + cell.gaussians]);
-    all.map(|count| count.min(budget).div_ceil(PAGE) * PAGE + cells * PAGE)
+    counts(&index.cells).map(|count| count.min(budget).div_ceil(PAGE) * PAGE + cells * PAGE)
+}
+
+fn counts<'a>(cells: impl IntoIterator<Item = &'a Cell>) -> [usize; 2] {
+    let add = |[surfels, gaussians]: [usize; 2], cell: &Cell| [surfels + cell.surfels, gaussians + cell.gaussians];
+    cells.into_iter().fold([0, 0], add)
 }

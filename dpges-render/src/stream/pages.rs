@@ -1,11 +1,9 @@
 //! Places in the buffers of a fixed size that cells share.
 
-use std::iter::once;
 use std::ops::Range;
 
-use crate::scene::PAGE;
+use crate::scene::{PAGE, joined};
 
-/// Which pages of a buffer are taken.
 #[derive(Debug)]
 pub(super) struct Pages {
     taken: Vec<bool>,
@@ -20,56 +18,29 @@ impl Pages {
     /// enough, and else in the first gaps. `None` if there are not enough pages.
     pub fn take(&mut self, count: usize) -> Option<Vec<Range<u32>>> {
         let needed = count.div_ceil(PAGE);
-        let gaps = self.gaps();
-        let mut found: Vec<Range<usize>> = match gaps.iter().find(|gap| gap.len() >= needed) {
-            Some(gap) => once(gap.start..gap.start + needed).collect(),
-            None => {
-                let mut left = needed;
-                let pieces = gaps.into_iter().map(|gap| {
-                    let length = gap.len().min(left);
-                    left -= length;
-                    gap.start..gap.start + length
-                });
-                let pieces = pieces.collect();
-                if left > 0 {
-                    return None;
-                }
-                pieces
-            }
-        };
-        found.retain(|pages| !pages.is_empty());
-        found.iter().for_each(|pages| self.taken[pages.clone()].fill(true));
-        let mut left = count;
-        let places = found.into_iter().map(|pages| {
-            let length = (pages.len() * PAGE).min(left);
-            left -= length;
-            let first = pages.start * PAGE;
+        let free: Vec<usize> = (0..self.taken.len()).filter(|&page| !self.taken[page]).collect();
+        let is_whole = |pages: &[usize]| pages[pages.len() - 1] - pages[0] + 1 == pages.len();
+        let from = free.windows(needed.max(1)).position(is_whole).unwrap_or(0);
+        let pages = free.get(from..from + needed)?;
+        pages.iter().for_each(|&page| self.taken[page] = true);
+        let range = |(index, page): (usize, &usize)| {
+            let (first, length) = (page * PAGE, PAGE.min(count - index * PAGE));
             first as u32..(first + length) as u32
-        });
-        Some(places.collect())
+        };
+        Some(joined(pages.iter().enumerate().map(range)))
     }
 
-    /// Gives places back.
     pub fn give(&mut self, places: &[Range<u32>]) {
         for place in places {
             self.taken[place.start as usize / PAGE..(place.end as usize).div_ceil(PAGE)].fill(false);
         }
     }
-
-    fn gaps(&self) -> Vec<Range<usize>> {
-        let mut gaps: Vec<Range<usize>> = Vec::new();
-        for (page, _) in self.taken.iter().enumerate().filter(|(_, taken)| !**taken) {
-            match gaps.last_mut() {
-                Some(gap) if gap.end == page => gap.end += 1,
-                _ => gaps.push(page..page + 1),
-            }
-        }
-        gaps
-    }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::iter::once;
+
     use super::*;
 
     #[test]

@@ -16,12 +16,10 @@ use super::cut::{children_primitives, refinements};
 
 /// Time that a parent and its children fade for, s.
 pub(super) const FADE_S: f64 = 0.4;
-/// Cells that are loaded at a time.
 const LOADS: usize = 6;
 /// Time until a cell that could not be loaded is asked for again, s: doubles with each failure.
 const RETRY_S: [f64; 2] = [2.0, 60.0];
 
-/// How much of a cell is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Fade {
     /// Factor of the weights of Gaussians: those of a parent and its children add up to 1.
@@ -41,7 +39,6 @@ impl Fade {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     Absent,
-    /// Asked for.
     Loading,
     /// Asked for, and dropped when it comes.
     Unwanted,
@@ -54,13 +51,10 @@ enum State {
 #[derive(Clone, Copy, Debug)]
 struct Change {
     parent: usize,
-    /// Whether the children come.
     refines: bool,
-    /// When the fade began, s.
     begun: Option<f64>,
 }
 
-/// Why a cell is not there.
 #[derive(Debug)]
 struct Failure {
     retry_at: f64,
@@ -68,20 +62,17 @@ struct Failure {
     reason: String,
 }
 
-/// Loads and drops that an update asks the caller for.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Orders {
     /// Cells to load, the most urgent first.
     pub load: Vec<usize>,
-    /// Cells that are resident no longer.
     pub drop: Vec<usize>,
 }
 
-/// The cells of an index within a budget of primitives.
 #[derive(Debug)]
 pub(super) struct Residency {
     pub index: Index,
-    budget: usize,
+    pub budget: usize,
     /// Primitives of the largest cell with children.
     reserve: usize,
     /// Whether the budget has room for all of level 0.
@@ -89,19 +80,15 @@ pub(super) struct Residency {
     states: Vec<State>,
     changes: Vec<Change>,
     failures: BTreeMap<usize, Failure>,
-    /// Primitives of all cells that are not absent.
-    resident: usize,
-    /// Cells that were asked for and have not come.
-    loading: usize,
-    /// Whether the last cut that was asked for is drawn.
-    complete: bool,
+    /// Primitives of all cells that are not absent: never more than the budget.
+    pub resident: usize,
+    pub loading: usize,
+    /// Whether nothing changes any more while the camera stays and nothing is tried again.
+    pub complete: bool,
 }
 
 impl Residency {
     /// Nothing but the roots, which are loaded.
-    ///
-    /// # Errors
-    /// [`StreamError::Budget`] if the budget has no room for the roots.
     pub fn new(index: Index, budget: usize) -> Result<Self, StreamError> {
         let mut states = vec![State::Absent; index.cells.len()];
         index.roots().for_each(|root| states[root] = State::Drawn);
@@ -126,28 +113,9 @@ impl Residency {
         })
     }
 
-    pub fn budget(&self) -> usize {
-        self.budget
-    }
-
-    /// Primitives of cells that are drawn, loaded or being loaded: never more than the budget.
-    pub fn resident(&self) -> usize {
-        self.resident
-    }
-
-    /// Cells that are being loaded.
-    pub fn loading(&self) -> usize {
-        self.loading
-    }
-
     /// Cells that could not be loaded and are missed, and why the first could not.
     pub fn failures(&self) -> (usize, Option<&str>) {
         (self.failures.len(), self.failures.values().next().map(|failure| failure.reason.as_str()))
-    }
-
-    /// Whether nothing changes any more while the camera stays and nothing is tried again.
-    pub fn is_complete(&self) -> bool {
-        self.complete
     }
 
     pub fn is_fading(&self) -> bool {
@@ -178,20 +146,20 @@ impl Residency {
         drawn.filter(|(_, fade)| fade.gaussians > 0.0).collect()
     }
 
-    /// Takes the outcome of a load. Returns whether the cell is wanted: else it must not be kept.
-    pub fn loaded(&mut self, cell: usize, outcome: Result<(), String>, now: f64) -> bool {
+    /// Takes the end of a load, which may have failed. Returns whether the cell is wanted: else it must not be kept.
+    pub fn loaded(&mut self, cell: usize, failure: Option<&String>, now: f64) -> bool {
         self.loading -= 1;
-        match outcome {
-            Ok(()) => {
+        match failure {
+            None => {
                 self.failures.remove(&cell);
                 if self.states[cell] == State::Loading {
                     self.states[cell] = State::Ready;
                 }
             }
-            Err(reason) => {
+            Some(reason) => {
                 let before = self.failures.get(&cell).map_or(0.0, |failure| failure.wait_s);
                 let wait_s = (2.0 * before).clamp(RETRY_S[0], RETRY_S[1]);
-                self.failures.insert(cell, Failure { retry_at: now + wait_s, wait_s, reason });
+                self.failures.insert(cell, Failure { retry_at: now + wait_s, wait_s, reason: reason.clone() });
             }
         }
         if self.states[cell] != State::Ready {
@@ -200,7 +168,6 @@ impl Residency {
         self.states[cell] == State::Ready
     }
 
-    /// Goes on at the time `now`, s, for what `camera` sees.
     pub fn update(&mut self, camera: &Camera, now: f64) -> Orders {
         let mut orders = Orders::default();
         self.finish(now, &mut orders);
@@ -245,7 +212,6 @@ impl Residency {
         self.failures.get(&cell).is_some_and(|failure| failure.retry_at > now)
     }
 
-    /// The cell is resident no longer.
     fn leave(&mut self, cell: usize) {
         self.states[cell] = State::Absent;
         self.resident -= self.index.cells[cell].primitives();
@@ -273,7 +239,6 @@ impl Residency {
         self.incoming(&Change { refines: !change.refines, ..*change })
     }
 
-    /// Ends the fades that are over.
     fn finish(&mut self, now: f64, orders: &mut Orders) {
         let is_over = |change: &Change| change.begun.is_some_and(|begun| now - begun >= FADE_S);
         let (over, rest) = std::mem::take(&mut self.changes).into_iter().partition::<Vec<Change>, _>(is_over);
@@ -354,13 +319,11 @@ impl Residency {
         self.index.cells[cell].parent.is_some_and(|parent| self.change_of(parent).is_some())
     }
 
-    /// Primitives of those of `cells` that are absent.
     fn missing(&self, cells: &[usize]) -> usize {
         let absent = cells.iter().filter(|&&cell| self.states[cell] == State::Absent);
         absent.map(|&cell| self.index.cells[cell].primitives()).sum()
     }
 
-    /// Primitives that are resident once all changes are over.
     fn resident_later(&self) -> usize {
         let leave = self.changes.iter().flat_map(|change| self.outgoing(change));
         let unwanted = (0..self.states.len()).filter(|&cell| self.states[cell] == State::Unwanted);

@@ -5,9 +5,7 @@ use dpges_core::scene::{GaussianData, Rendering, SceneData, SurfelData};
 
 use super::LoadedCell;
 use crate::error::RenderError;
-use crate::scene::PackedCell;
 
-/// Why a scene in levels of detail cannot be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum StreamError {
     #[error(
@@ -62,25 +60,19 @@ impl LodScene {
         let mut roots = Vec::new();
         for root in index.roots() {
             let scene = index.cell(root, &read(&index.cells[root].part)?)?;
-            roots.push((root, LoadedCell(PackedCell::new(&scene))));
+            roots.push((root, LoadedCell::new(&scene)));
             coarse.surfels.append(scene.surfels);
             coarse.gaussians.append(scene.gaussians);
         }
         Ok(Self { index, coarse, roots })
     }
 
-    pub fn index(&self) -> &Index {
-        &self.index
-    }
-
-    /// The coarsest level as a scene.
     pub fn coarse(&self) -> &SceneData {
         &self.coarse
     }
 
     /// Surfels and Gaussians of level 0.
     pub fn counts(&self) -> [usize; 2] {
-        let finest = self.index.level(0).map(|cell| &self.index.cells[cell]);
-        finest.fold([0, 0], |[surfels, gaussians], cell| [surfels + cell.surfels, gaussians + cell.gaussians])
+        super::counts(self.index.level(0).map(|cell| &self.index.cells[cell]))
     }
 }

@@ -14,7 +14,6 @@ use crate::path::CameraPath;
 /// Longest wait for a server to answer a request, and for all of an answer.
 #[cfg(feature = "http")]
 const PATIENCE: [Duration; 2] = [Duration::from_secs(20), Duration::from_secs(300)];
-/// Largest index that is read, bytes.
 #[cfg(feature = "http")]
 const LARGEST_INDEX: u64 = 1 << 28;
 
@@ -35,7 +34,6 @@ pub fn is_lod(place: &Path) -> bool {
     is_address(place) || place.ends_with(INDEX) && place.is_file() || place.join(INDEX).is_file()
 }
 
-/// Whether `place` is an address of the web.
 pub fn is_address(place: &Path) -> bool {
     place.to_str().is_some_and(|text| text.starts_with("http://") || text.starts_with("https://"))
 }
@@ -122,10 +120,6 @@ impl Source {
         })
     }
 
-    /// The bytes of a part.
-    ///
-    /// # Errors
-    /// As [`index`](Self::index).
     pub fn read(&self, part: &Part) -> Result<Vec<u8>, StreamError> {
         match self {
             Self::Folder(folder) => Ok(Index::read_part(folder, part)?),
@@ -145,7 +139,6 @@ mod web {
     use ureq::http::header::{CONTENT_RANGE, RANGE};
     use ureq::http::{Response, StatusCode};
 
-    /// All of a file.
     pub fn whole(client: &Agent, address: &str, most: u64) -> Result<Vec<u8>, String> {
         let answer = client.get(address).call().map_err(unreachable)?;
         match answer.status() {

@@ -9,10 +9,9 @@ use dpges_core::scene::lod::{CAMERAS, Index};
 
 use super::fixtures::{filled, forest, write};
 use super::{Levels, Source};
+use crate::fixtures::camera;
 use crate::path::CameraPath;
-use crate::path::tests::camera;
 
-/// How the server misbehaves.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Good,
@@ -64,8 +63,7 @@ fn answer(mut stream: TcpStream, folder: &Path, kind: Kind) {
 #[test]
 fn parts_come_by_ranges_of_bytes() {
     let folder = tempfile::tempdir().unwrap();
-    let index = forest(1, 1);
-    let index = write(folder.path(), index.clone(), |cell| filled(&index, cell, [5, 50 + cell]));
+    let index = write(folder.path(), forest(1, 1), |index, cell| filled(index, cell, [5, 50 + cell]));
     let address = serve(folder.path(), Kind::Good);
     for place in [address.clone(), format!("{address}/"), format!("{address}/index.json")] {
         let web = Source::new(&PathBuf::from(&place)).unwrap();
@@ -98,8 +96,7 @@ fn parts_come_by_ranges_of_bytes() {
 #[test]
 fn servers_that_do_not_serve_are_told() {
     let folder = tempfile::tempdir().unwrap();
-    let index = forest(1, 1);
-    let mut index = write(folder.path(), index.clone(), |cell| filled(&index, cell, [5, 50 + cell]));
+    let mut index = write(folder.path(), forest(1, 1), |index, cell| filled(index, cell, [5, 50 + cell]));
     let error = |kind: Kind| {
         let source = Source::new(serve(folder.path(), kind).as_ref()).unwrap();
         source.read(&index.cells[1].part).unwrap_err().to_string()

@@ -6,19 +6,20 @@ use eframe::egui_wgpu::RenderState;
 use egui::{CentralPanel, Context, Frame, Id, Modal, Panel, Spinner, Ui, ViewportCommand};
 
 use super::dialogs::{Answer, Purpose};
-use super::keys::{Command, commands};
+use super::keys::{Command, commands, show_help};
 use super::live::LiveScene;
-use super::loading::{Loader, Opened, Opener, ViewsLoader};
+use super::loading::{Loader, Opened, Opener};
 use super::measuring::Measuring;
 use super::messages::Message;
 use super::navigation::Mode;
+use super::panels;
 use super::path_editor::PathEditor;
+use super::pending::Pending;
 use super::recent::RecentFiles;
 use super::start::{DeviceFailure, Start};
 use super::start_page::{self, Choice};
-use super::state::State;
+use super::state::{State, waker};
 use super::views::{DatasetViews, Views};
-use super::{help, panels};
 use crate::RenderError;
 
 /// The viewer, for any window of egui.
@@ -28,15 +29,12 @@ pub struct Viewer {
     opener: Opener,
     recent: RecentFiles,
     typed_path: String,
-    /// Whether it asks what becomes of the training.
     closing: bool,
     may_close: bool,
     failure: DeviceFailure,
 }
 
 impl Viewer {
-    /// # Errors
-    /// The errors of the renderer on the device of `gpu`; without it, nothing is drawn.
     pub fn new(
         context: &Context,
         gpu: Option<&RenderState>,
@@ -61,8 +59,7 @@ impl Viewer {
             Start::Open(path) => viewer.open(context, path),
             Start::Scene { name, opened } => viewer.take(context, name, *opened),
             Start::Live(live, views) => {
-                let egui = context.clone();
-                live.on_news(move || egui.request_repaint());
+                live.on_news(waker(context));
                 viewer.state.live = Some(live);
                 viewer.state.views = views;
             }
@@ -70,7 +67,6 @@ impl Viewer {
         Ok(viewer)
     }
 
-    /// One frame of the whole window.
     pub fn show(&mut self, ui: &mut Ui) {
         let context = ui.ctx().clone();
         self.take_news(&context);
@@ -96,7 +92,7 @@ impl Viewer {
         let frame = Frame::new().fill(ui.visuals().panel_fill);
         CentralPanel::no_frame().frame(frame).show(ui, |ui| self.centre(ui));
         if self.state.help_open {
-            help::show(&context, &mut self.state.help_open);
+            show_help(&context, &mut self.state.help_open);
         }
         if self.closing {
             self.ask_about_training(&context);
@@ -137,7 +133,8 @@ impl Viewer {
                 Err(reason) => self.state.message = Some(Message::Error(reason)),
             }
         }
-        if let Some(result) = self.state.views_loader.as_ref().and_then(ViewsLoader::poll) {
+        let failed = || Err("reading the dataset failed unexpectedly".to_owned());
+        if let Some(result) = self.state.pending_views.as_ref().and_then(|pending| pending.poll(failed)) {
             self.take_views(result);
         }
         if let Some(scene) = self.state.live.as_ref().and_then(LiveScene::take_scene) {
@@ -159,15 +156,13 @@ impl Viewer {
         }
     }
 
-    /// Begins to read a scene or a run.
     pub(super) fn open(&mut self, context: &Context, path: PathBuf) {
         if self.state.live.is_some() {
             let text = "This window shows a training: open other scenes in another one, with `dpges view`.";
             self.state.message = Some(Message::Note(text.to_owned()));
             return;
         }
-        let woken = context.clone();
-        self.loader.start(path, &self.opener, move || woken.request_repaint());
+        self.loader.start(path, &self.opener, waker(context));
     }
 
     fn use_file(&mut self, context: &Context, purpose: Purpose, file: PathBuf) {
@@ -205,17 +200,14 @@ impl Viewer {
             return;
         }
         self.state.comparing.forget();
-        self.state.measuring.clear();
+        self.state.measuring.points.clear();
         self.state.path = PathEditor::default();
-        self.state.views_loader = later.map(|read| {
-            let woken = context.clone();
-            ViewsLoader::start(read, move || woken.request_repaint())
-        });
+        self.state.pending_views = later.map(|read| Pending::start(read, waker(context)));
     }
 
     /// Takes the views that came after their scene, and goes to the first unless the view was moved since.
     fn take_views(&mut self, result: Result<DatasetViews, String>) {
-        self.state.views_loader = None;
+        self.state.pending_views = None;
         match result {
             Ok(views) => {
                 let untouched = *self.state.navigator.viewpoint() == self.state.home;

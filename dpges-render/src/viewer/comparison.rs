@@ -6,12 +6,10 @@ use egui::{Color32, ColorImage, Context, Painter, Pos2, Rect, Sense, Stroke, Tex
 use super::views::DatasetViews;
 use crate::{RenderOptions, Rgb8Image, false_colour};
 
-/// Points between two pictures.
 const GAP: f32 = 2.0;
 /// Width of the part of the divider that can be caught, points.
 const HANDLE: f32 = 14.0;
 
-/// How scene and photograph are shown together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Comparison {
     #[default]
@@ -19,7 +17,6 @@ pub enum Comparison {
     SideBySide,
     /// The photograph on the right of a divider.
     Wipe,
-    /// Mean absolute difference in false colour.
     Error,
 }
 
@@ -40,9 +37,21 @@ impl Comparison {
         let at = Self::ALL.iter().position(|&other| other == self).unwrap_or_default();
         Self::ALL[(at + 1) % Self::ALL.len()]
     }
+
+    /// Where the scene, seen by `camera`, is shown in `rect`.
+    pub fn place(self, rect: Rect, camera: &Camera) -> Rect {
+        let aspect = camera.width as f32 / camera.height as f32;
+        match self {
+            Self::Off => rect,
+            Self::SideBySide => {
+                let left = Rect::from_min_size(rect.min, egui::vec2(0.5 * (rect.width() - GAP), rect.height()));
+                fitted(left, aspect)
+            }
+            Self::Wipe | Self::Error => fitted(rect, aspect),
+        }
+    }
 }
 
-/// The comparison, its divider, and the pictures that it keeps.
 pub struct Comparing {
     pub kind: Comparison,
     /// Place of the divider, share of the width.
@@ -91,9 +100,6 @@ impl Comparing {
 
     /// The difference between the photograph and what `draw` makes of the scene at its size, with `options`;
     /// `generation` counts the scenes. Drawn anew only if one of them is another.
-    ///
-    /// # Errors
-    /// The errors of `draw`.
     pub fn update_error<E>(
         &mut self,
         context: &Context,
@@ -112,52 +118,39 @@ impl Comparing {
         Ok(())
     }
 
-    /// Mean absolute error of what is shown, of full scale 1.
     pub fn mean_error(&self) -> Option<f64> {
         self.error.as_ref().map(|error| error.mean)
     }
 
-    /// Shows the scene (`scene`, seen by `camera`) and the photograph in `rect`. Returns where the scene is.
-    pub fn show(&mut self, ui: &Ui, rect: Rect, camera: &Camera, scene: egui::TextureId) -> Rect {
+    /// Shows the scene (`scene`, seen by `camera`) and the photograph in `rect` as `kind` says. Returns where the scene is.
+    pub fn show(&mut self, kind: Comparison, ui: &Ui, rect: Rect, camera: &Camera, scene: egui::TextureId) -> Rect {
         let painter = ui.painter().with_clip_rect(rect);
-        let place = self.place(rect, camera);
-        match (self.kind, &self.photograph) {
+        let place = kind.place(rect, camera);
+        let photograph = self.photograph.as_ref().map(|photograph| photograph.texture.id());
+        let shown = match (kind, &self.error, photograph) {
+            (Comparison::Error, Some(error), Some(_)) => error.texture.id(),
+            _ => scene,
+        };
+        image(&painter, shown, place, FULL);
+        match (kind, photograph) {
             (Comparison::SideBySide, Some(photograph)) => {
-                image(&painter, scene, place, FULL);
                 let right = place.translate(egui::vec2(0.5 * (rect.width() + GAP), 0.0));
-                image(&painter, photograph.texture.id(), right, FULL);
-                caption(&painter, place, "scene");
-                caption(&painter, right, "photograph");
+                image(&painter, photograph, right, FULL);
+                caption(&painter, place, egui::Align2::LEFT_TOP, "scene");
+                caption(&painter, right, egui::Align2::LEFT_TOP, "photograph");
             }
             (Comparison::Wipe, Some(photograph)) => {
-                image(&painter, scene, place, FULL);
-                let id = photograph.texture.id();
                 let mut behind = place;
                 behind.min.x = self.divide(ui, place);
-                image(&painter, id, behind, Rect::from_min_max(egui::pos2(self.divider, 0.0), FULL.max));
+                image(&painter, photograph, behind, Rect::from_min_max(egui::pos2(self.divider, 0.0), FULL.max));
                 painter.vline(behind.min.x, place.y_range(), Stroke::new(3.0, Color32::from_black_alpha(150)));
                 painter.vline(behind.min.x, place.y_range(), Stroke::new(1.0, Color32::WHITE));
-                caption(&painter, place, "scene");
-                caption_right(&painter, place, "photograph");
+                caption(&painter, place, egui::Align2::LEFT_TOP, "scene");
+                caption(&painter, place, egui::Align2::RIGHT_TOP, "photograph");
             }
-            (Comparison::Error, Some(_)) => {
-                image(&painter, self.error.as_ref().map_or(scene, |error| error.texture.id()), place, FULL);
-            }
-            _ => image(&painter, scene, place, FULL),
+            _ => {}
         }
         place
-    }
-
-    /// Where the scene, seen by `camera`, is shown in `rect`.
-    pub fn place(&self, rect: Rect, camera: &Camera) -> Rect {
-        match self.kind {
-            Comparison::Off => rect,
-            Comparison::SideBySide => {
-                let left = Rect::from_min_size(rect.min, egui::vec2(0.5 * (rect.width() - GAP), rect.height()));
-                fitted(left, camera.width as f32 / camera.height as f32)
-            }
-            Comparison::Wipe | Comparison::Error => fitted(rect, camera.width as f32 / camera.height as f32),
-        }
     }
 
     /// Lets the divider be dragged. Returns where it is.
@@ -182,17 +175,9 @@ fn image(painter: &Painter, texture: egui::TextureId, place: Rect, part: Rect) {
     painter.image(texture, place, part, Color32::WHITE);
 }
 
-fn caption(painter: &Painter, place: Rect, text: &str) {
-    write(painter, place.left_top() + egui::vec2(8.0, 6.0), egui::Align2::LEFT_TOP, text);
-}
-
-fn caption_right(painter: &Painter, place: Rect, text: &str) {
-    write(painter, place.right_top() + egui::vec2(-8.0, 6.0), egui::Align2::RIGHT_TOP, text);
-}
-
-fn write(painter: &Painter, place: Pos2, align: egui::Align2, text: &str) {
+fn caption(painter: &Painter, place: Rect, align: egui::Align2, text: &str) {
     let text = painter.layout_no_wrap(text.to_owned(), egui::FontId::proportional(13.0), Color32::WHITE);
-    let rect = align.anchor_size(place, text.size());
+    let rect = align.align_size_within_rect(text.size(), place.shrink2(egui::vec2(8.0, 6.0)));
     painter.rect_filled(rect.expand(3.0), 3.0, Color32::from_black_alpha(150));
     painter.galley(rect.min, text, Color32::WHITE);
 }
@@ -228,10 +213,8 @@ mod tests {
 
     #[test]
     fn comparisons_follow_one_another() {
-        let mut kinds = vec![Comparison::Off];
-        (0..4).for_each(|at: usize| kinds.push(kinds[at].next()));
-        assert_eq!(kinds[..4], Comparison::ALL);
-        assert_eq!(kinds[4], Comparison::Off);
+        let [off, side_by_side, wipe, error] = Comparison::ALL;
+        assert_eq!(Comparison::ALL.map(Comparison::next), [side_by_side, wipe, error, off]);
     }
 
     #[test]

@@ -1,13 +1,13 @@
 //! Dialogs of the system that name a file.
 
 use std::path::PathBuf;
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::time::{Duration, Instant};
+
+use super::pending::Pending;
 
 /// Nobody closes a dialog sooner than this: one that is gone by then was never there.
 const LEAST_TIME: Duration = Duration::from_millis(400);
 
-/// The purpose of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
     OpenScene,
@@ -17,19 +17,17 @@ pub enum Purpose {
     LoadPath,
 }
 
-/// How a dialog ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Answer {
     File(Purpose, PathBuf),
     Cancelled,
-    /// The system has no dialogs.
     NoDialogs,
 }
 
 /// One dialog at a time, beside the window.
 #[derive(Default)]
 pub struct Dialogs {
-    open: Option<Receiver<Answer>>,
+    open: Option<Pending<Answer>>,
 }
 
 impl Dialogs {
@@ -44,26 +42,18 @@ impl Dialogs {
             Purpose::OpenScene => Box::pin(dialog.add_filter("scenes", &["safetensors"]).pick_file()),
             Purpose::OpenRun => Box::pin(dialog.pick_folder()),
             Purpose::LoadPath => Box::pin(dialog.add_filter("camera paths", &["json"]).pick_file()),
-            Purpose::SavePath => Box::pin(dialog.set_file_name(file_name).save_file()),
-            Purpose::SaveScreenshot => Box::pin(dialog.set_file_name(file_name).save_file()),
+            Purpose::SavePath | Purpose::SaveScreenshot => Box::pin(dialog.set_file_name(file_name).save_file()),
         };
-        let (sender, receiver) = channel();
-        std::thread::spawn(move || {
+        let wait = move || {
             let since = Instant::now();
             let file = pollster::block_on(question).map(|file| file.path().to_owned());
-            // nobody listens if the window is closed
-            let _ = sender.send(answer(purpose, file, since.elapsed()));
-            wake();
-        });
-        self.open = Some(receiver);
+            answer(purpose, file, since.elapsed())
+        };
+        self.open = Some(Pending::start(wait, wake));
     }
 
     pub fn poll(&mut self) -> Option<Answer> {
-        let answer = match self.open.as_ref()?.try_recv() {
-            Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Answer::NoDialogs,
-            Ok(answer) => answer,
-        };
+        let answer = self.open.as_ref()?.poll(|| Answer::NoDialogs)?;
         self.open = None;
         Some(answer)
     }

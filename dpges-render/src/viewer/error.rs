@@ -1,6 +1,5 @@
 //! Why there is no window, or no longer one.
 
-/// Why a viewer could not start or go on.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ViewerError {
     #[error(

@@ -2,22 +2,22 @@
 
 use std::collections::VecDeque;
 
-/// Frames that are kept.
+use crate::PassTime;
+use crate::percentile::percentiles;
+
 const KEPT: usize = 240;
 
-/// A frame that was drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameTime {
     /// From the frame before, ms; `None` if there was a pause between them.
     pub wall_ms: Option<f64>,
-    /// Name and ms of each pass on the GPU; empty where it has no clock.
-    pub passes: Vec<(&'static str, f64)>,
+    /// Empty where the GPU has no clock.
+    pub passes: Vec<PassTime>,
 }
 
 impl FrameTime {
-    /// Sum over the passes, ms.
     pub fn gpu_ms(&self) -> Option<f64> {
-        (!self.passes.is_empty()).then(|| self.passes.iter().map(|(_, ms)| ms).sum())
+        (!self.passes.is_empty()).then(|| self.passes.iter().map(|pass| pass.milliseconds).sum())
     }
 
     /// The time of the frame: by the GPU's clock, or else by the wall's.
@@ -44,22 +44,12 @@ impl FrameTimes {
 
     /// Median of the last frames that followed one another, frames per second.
     pub fn frames_per_second(&self) -> Option<f64> {
-        let mut times: Vec<f64> = self.0.iter().rev().take(10).filter_map(|frame| frame.wall_ms).collect();
-        times.sort_unstable_by(f64::total_cmp);
-        times.get(times.len() / 2).map(|ms| 1e3 / ms)
+        let times = self.0.iter().rev().take(10).filter_map(|frame| frame.wall_ms);
+        percentiles(times.collect(), [0.5]).map(|[ms]| 1e3 / ms)
     }
 
-    /// Points (frame, ms) of the wall clock.
-    pub fn wall(&self) -> Vec<[f64; 2]> {
-        self.line(|frame| frame.wall_ms)
-    }
-
-    /// Points (frame, ms) of the whole GPU.
-    pub fn gpu(&self) -> Vec<[f64; 2]> {
-        self.line(FrameTime::gpu_ms)
-    }
-
-    fn line(&self, value: impl Fn(&FrameTime) -> Option<f64>) -> Vec<[f64; 2]> {
+    /// Points (frame, ms).
+    pub fn line(&self, value: impl Fn(&FrameTime) -> Option<f64>) -> Vec<[f64; 2]> {
         self.0.iter().enumerate().filter_map(|(at, frame)| Some([at as f64, value(frame)?])).collect()
     }
 }
@@ -69,7 +59,8 @@ mod tests {
     use super::*;
 
     fn frame(wall_ms: Option<f64>, passes: &[(&'static str, f64)]) -> FrameTime {
-        FrameTime { wall_ms, passes: passes.to_vec() }
+        let pass = |&(name, milliseconds): &(&'static str, f64)| PassTime { name, milliseconds };
+        FrameTime { wall_ms, passes: passes.iter().map(pass).collect() }
     }
 
     #[test]
@@ -84,9 +75,9 @@ mod tests {
         let mut times = FrameTimes::default();
         assert_eq!((times.frames_per_second(), times.last()), (None, None));
         (0..KEPT + 5).for_each(|at| times.push(frame((at % 2 == 0).then_some(20.0), &[("peel", at as f64)])));
-        assert_eq!(times.gpu().len(), KEPT);
-        assert_eq!(times.gpu()[0], [0.0, 5.0]);
-        assert_eq!(times.wall().len(), KEPT / 2);
+        assert_eq!(times.line(FrameTime::gpu_ms).len(), KEPT);
+        assert_eq!(times.line(FrameTime::gpu_ms)[0], [0.0, 5.0]);
+        assert_eq!(times.line(|frame| frame.wall_ms).len(), KEPT / 2);
         assert_eq!(times.frames_per_second(), Some(50.0));
     }
 }

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use dpges_core::camera::{Camera, CameraFromWorld};
-use dpges_core::scene::{ColourModel, GaussianData, SceneData, SceneInfo, SurfelData};
+use dpges_core::camera::CameraFromWorld;
+use dpges_core::scene::SceneInfo;
 use egui::Key;
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
@@ -18,6 +18,7 @@ use super::loading::{Opened, open_scene};
 use super::messages::Message;
 use super::start::{DeviceFailure, Start};
 use super::views::{DatasetViews, Views};
+use crate::fixtures::{neutral, pinhole};
 use crate::stream::fixtures::{filled, forest, write};
 use crate::stream::{Levels, StreamStatus};
 use crate::{Display, RenderOptions, Rgb8Image};
@@ -27,31 +28,28 @@ const DISTANCE: f64 = 4.0;
 
 /// A grey disc with a radius of 1 around the origin, seen from +z.
 fn opened() -> Opened {
-    let model = ColourModel::default();
-    let info = SceneInfo { colour_model: model, ..SceneInfo::default() };
-    let mut surfels = SurfelData::neutral(model, 1);
-    surfels.log_scales = vec![0.3f32.ln(); 2];
-    let scene = SceneData { info, surfels, gaussians: GaussianData::neutral(model, 0), environment: None };
-    let camera = |eye| {
-        let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Y);
-        let (width, height) = (80, 60);
-        Camera { camera_from_world, fx: 60.0, fy: 60.0, cx: 40.0, cy: 30.0, width, height, near: 0.01, lens: None }
-    };
+    let mut scene = neutral(SceneInfo::default(), [1, 0]);
+    scene.surfels.log_scales.fill(0.3f32.ln());
+    let camera = |eye| pinhole(CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Y), 60.0, [80, 60]);
     let eyes = [dvec3(0.0, 0.0, DISTANCE), dvec3(3.0, 0.0, 3.0)];
     let cameras = eyes.into_iter().map(|eye| (format!("{eye}"), camera(eye))).collect();
     let red = |_| Some(Rgb8Image { width: 80, height: 60, bytes: [200, 0, 0].repeat(4800) });
     Opened::whole(scene, Views::Ready(DatasetViews { cameras, photograph: Box::new(red) }))
 }
 
-fn window() -> Harness<'static, Viewer> {
+fn window_with(opened: Opened) -> Harness<'static, Viewer> {
     let gpu = create_render_state(default_wgpu_setup(), Default::default());
-    let start = Start::Scene { name: "disc".to_owned(), opened: Box::new(opened()) };
-    let context = egui::Context::default();
-    let viewer =
-        Viewer::new(&context, Some(&gpu), None, start, Arc::new(open_scene), DeviceFailure::default()).unwrap();
+    let start = Start::Scene { name: "scene".to_owned(), opened: Box::new(opened) };
+    let (context, failure) = (egui::Context::default(), DeviceFailure::default());
+    let viewer = Viewer::new(&context, Some(&gpu), None, start, Arc::new(open_scene), failure).unwrap();
     let show = |ui: &mut egui::Ui, viewer: &mut Viewer| viewer.show(ui);
     let renderer = WgpuTestRenderer::from_render_state(gpu);
-    let mut harness = Harness::builder().with_size([640.0, 480.0]).renderer(renderer).build_ui_state(show, viewer);
+    Harness::builder().with_size([640.0, 480.0]).renderer(renderer).build_ui_state(show, viewer)
+}
+
+/// The disc, without the panel.
+fn window() -> Harness<'static, Viewer> {
+    let mut harness = window_with(opened());
     harness.run_steps(2);
     harness.key_press(Key::N);
     harness.run_steps(3);
@@ -117,7 +115,7 @@ fn two_clicks_measure_a_distance() {
     let expected = 60.0 * DISTANCE / focal;
     let distance = state.measuring.distance().unwrap();
     assert!((distance - expected).abs() < 0.01 * expected, "{distance}, expected {expected}");
-    assert!(state.measuring.points().iter().all(|point| point.z.abs() < 1e-2), "{:?}", state.measuring.points());
+    assert!(state.measuring.points.iter().all(|point| point.z.abs() < 1e-2), "{:?}", state.measuring.points);
     click(&mut harness, [300.0, 0.0]);
     assert!(matches!(&harness.state().state.message, Some(Message::Note(text)) if text.contains("no surface")));
 }
@@ -170,8 +168,7 @@ fn nothing_is_drawn_twice_and_nothing_without_pixels() {
 #[test]
 fn levels_of_detail_come_while_the_window_shows_the_coarsest() {
     let folder = tempfile::tempdir().unwrap();
-    let index = forest(1, 1);
-    let index = write(folder.path(), index.clone(), |cell| filled(&index, cell, [30, 300 + cell]));
+    let index = write(folder.path(), forest(1, 1), |index, cell| filled(index, cell, [30, 300 + cell]));
     // the last cell is torn
     let file = folder.path().join("cells.pack");
     let whole = std::fs::read(&file).unwrap();
@@ -179,15 +176,7 @@ fn levels_of_detail_come_while_the_window_shows_the_coarsest() {
     torn[index.cells[2].part.offset as usize..].fill(0);
     std::fs::write(&file, &torn).unwrap();
 
-    let gpu = create_render_state(default_wgpu_setup(), Default::default());
-    let levels = Levels::open(folder.path(), 5000).unwrap();
-    let start = Start::Scene { name: "room".to_owned(), opened: Box::new(Opened::levels(levels, Views::None)) };
-    let context = egui::Context::default();
-    let failure = DeviceFailure::default();
-    let viewer = Viewer::new(&context, Some(&gpu), None, start, Arc::new(open_scene), failure).unwrap();
-    let show = |ui: &mut egui::Ui, viewer: &mut Viewer| viewer.show(ui);
-    let renderer = WgpuTestRenderer::from_render_state(gpu);
-    let mut harness = Harness::builder().with_size([640.0, 480.0]).renderer(renderer).build_ui_state(show, viewer);
+    let mut harness = window_with(Opened::levels(Levels::open(folder.path(), 5000).unwrap(), Views::None));
     let mut wait = |until: fn(&StreamStatus) -> bool| {
         for _ in 0..2000 {
             harness.step();

@@ -1,6 +1,6 @@
 //! The keys: what each does, and the list that the help shows.
 
-use egui::{InputState, Key};
+use egui::{Align2, Context, Grid, InputState, Key, RichText, Window};
 
 use crate::Display;
 
@@ -46,7 +46,7 @@ const KEYS: [(Key, Command); 15] = [
 ];
 
 /// Mouse and key bindings, for the help.
-pub const HELP: [(&str, &str); 26] = [
+const HELP: [(&str, &str); 26] = [
     ("drag", "turn about the focus (orbit) or look around (fly)"),
     ("right drag, shift + drag", "pan"),
     ("ctrl + drag", "look around"),
@@ -83,4 +83,18 @@ pub fn commands(input: &InputState) -> Vec<Command> {
     let displays = DISPLAY_KEYS.into_iter().zip(Display::ALL.map(Command::Display));
     let pressed = |&(key, _): &(Key, Command)| input.key_pressed(key);
     displays.chain(KEYS).filter(pressed).map(|(_, command)| command).collect()
+}
+
+/// Shows the list of keys over the picture; `open` becomes false when it is closed.
+pub fn show_help(context: &Context, open: &mut bool) {
+    let window = Window::new("Mouse and keys").open(open).collapsible(false).resizable(false);
+    window.anchor(Align2::CENTER_CENTER, [0.0, 0.0]).show(context, |ui| {
+        Grid::new("keys").num_columns(2).striped(true).spacing([24.0, 4.0]).show(ui, |ui| {
+            for (keys, meaning) in HELP {
+                ui.label(RichText::new(keys).strong());
+                ui.label(meaning);
+                ui.end_row();
+            }
+        });
+    });
 }

@@ -10,10 +10,8 @@ const PAUSE: Duration = Duration::from_millis(500);
 /// Time between two looks at whether a paused training is given up.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// How far a training is.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LiveProgress {
-    /// Completed steps.
     pub step: usize,
     pub steps: usize,
     /// PSNR of the last training view or of held-out views, dB.
@@ -23,13 +21,15 @@ pub struct LiveProgress {
 }
 
 /// A request of the window to the training.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Wish {
+    #[default]
     Go,
     Pause,
     Stop,
 }
 
+#[derive(Default)]
 struct State {
     progress: LiveProgress,
     scene: Option<SceneData>,
@@ -37,62 +37,45 @@ struct State {
     /// The result, once the training is over.
     end: Option<Result<String, String>>,
     closes: bool,
-    /// Whether a window looks.
-    watched: bool,
+    /// Whether no window looks any more.
+    left: bool,
     last_wanted: Option<Instant>,
     wake: Option<Box<dyn Fn() + Send>>,
 }
 
+#[derive(Default)]
 struct Shared {
     state: Mutex<State>,
     changed: Condvar,
 }
 
 /// A handle for both sides; clones are the same.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct LiveScene(Arc<Shared>);
-
-impl Default for LiveScene {
-    fn default() -> Self {
-        Self::new()
-    }
-}
 
 /// The side that trains.
 impl LiveScene {
     pub fn new() -> Self {
-        let state = State {
-            progress: LiveProgress::default(),
-            scene: None,
-            wish: Wish::Go,
-            end: None,
-            closes: false,
-            watched: true,
-            last_wanted: None,
-            wake: None,
-        };
-        Self(Arc::new(Shared { state: Mutex::new(state), changed: Condvar::new() }))
+        Self::default()
     }
 
     /// Whether the window has room for a new scene: it has taken the last, and half a second has passed.
     pub fn wants_scene(&self) -> bool {
         let state = self.state();
         let is_due = state.last_wanted.is_none_or(|last| last.elapsed() >= PAUSE);
-        state.watched && state.scene.is_none() && is_due
+        !state.left && state.scene.is_none() && is_due
     }
 
     /// Hands a scene to the window; one that it has not taken yet is replaced.
     pub fn publish(&self, scene: SceneData) {
-        let mut state = self.state();
-        state.scene = Some(scene);
-        state.last_wanted = Some(Instant::now());
-        wake(&state);
+        self.tell(|state| {
+            state.scene = Some(scene);
+            state.last_wanted = Some(Instant::now());
+        });
     }
 
     pub fn report(&self, progress: LiveProgress) {
-        let mut state = self.state();
-        state.progress = progress;
-        wake(&state);
+        self.tell(|state| state.progress = progress);
     }
 
     /// Returns at once unless the window has paused the training, else when it goes on or is to stop, or soon after
@@ -111,16 +94,20 @@ impl LiveScene {
 
     /// Says that the training is over, and how it ended.
     pub fn finish(&self, end: Result<String, String>) {
-        let mut state = self.state();
-        state.end = Some(end);
-        wake(&state);
+        self.tell(|state| state.end = Some(end));
     }
 
     /// Closes the window without a question.
     pub fn close_window(&self) {
+        self.tell(|state| state.closes = true);
+    }
+
+    fn tell(&self, change: impl FnOnce(&mut State)) {
         let mut state = self.state();
-        state.closes = true;
-        wake(&state);
+        change(&mut state);
+        if let Some(wake) = &state.wake {
+            wake();
+        }
     }
 }
 
@@ -152,7 +139,6 @@ impl LiveScene {
         self.state().end.clone()
     }
 
-    /// Whether the window is to close.
     pub fn closes(&self) -> bool {
         self.state().closes
     }
@@ -165,7 +151,7 @@ impl LiveScene {
     /// Says that nobody looks any more: a paused training goes on, and no scene is wanted.
     pub fn leave(&self) {
         let mut state = self.state();
-        state.watched = false;
+        state.left = true;
         state.scene = None;
         state.wake = None;
         if state.wish == Wish::Pause {
@@ -188,30 +174,18 @@ impl LiveScene {
     }
 }
 
-fn wake(state: &State) {
-    if let Some(wake) = &state.wake {
-        wake();
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::mpsc::channel;
     use std::thread;
 
-    use dpges_core::scene::{ColourModel, GaussianData, SceneInfo, SurfelData};
+    use dpges_core::scene::SceneInfo;
 
     use super::*;
+    use crate::fixtures::neutral;
 
     fn scene() -> SceneData {
-        let model = ColourModel::default();
-        let info = SceneInfo { colour_model: model, ..SceneInfo::default() };
-        SceneData {
-            info,
-            surfels: SurfelData::neutral(model, 1),
-            gaussians: GaussianData::neutral(model, 0),
-            environment: None,
-        }
+        neutral(SceneInfo::default(), [1, 0])
     }
 
     #[test]

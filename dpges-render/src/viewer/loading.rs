@@ -2,15 +2,14 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 
-use super::views::{DatasetViews, ReadViews, Views};
+use super::pending::Pending;
+use super::views::{DatasetViews, Views};
 use crate::stream::{DEFAULT_BUDGET, Levels, is_lod};
 
-/// Name of the scene file in the folder of a run.
 const SCENE_OF_RUN: &str = "scene.safetensors";
 
 /// A scene, and the views that it is compared with.
@@ -55,7 +54,6 @@ pub fn open_scene(path: &Path) -> Result<Opened, String> {
     Ok(Opened::whole(scene, Views::None))
 }
 
-/// The result of opening a path.
 pub struct Loaded {
     pub path: PathBuf,
     pub result: Result<Opened, String>,
@@ -64,70 +62,37 @@ pub struct Loaded {
 /// Opens one path at a time on a thread of its own; the last asked for counts.
 #[derive(Default)]
 pub struct Loader {
-    running: Option<(PathBuf, Receiver<Result<Opened, String>>)>,
+    running: Option<(PathBuf, Pending<Result<Opened, String>>)>,
 }
 
 impl Loader {
     /// Calls `wake` when it is done.
     pub fn start(&mut self, path: PathBuf, opener: &Opener, wake: impl Fn() + Send + 'static) {
-        let (sender, receiver) = channel();
         let (opener, opened) = (Arc::clone(opener), path.clone());
-        std::thread::spawn(move || {
-            // nobody listens if another path was asked for since
-            let _ = sender.send(opener(&opened));
-            wake();
-        });
-        self.running = Some((path, receiver));
+        self.running = Some((path, Pending::start(move || opener(&opened), wake)));
     }
 
-    /// The path that is being opened.
     pub fn path(&self) -> Option<&Path> {
         self.running.as_ref().map(|(path, _)| path.as_path())
     }
 
     pub fn poll(&mut self) -> Option<Loaded> {
-        let (_, receiver) = self.running.as_ref()?;
-        let result = match receiver.try_recv() {
-            Ok(result) => result,
-            Err(TryRecvError::Empty) => return None,
-            Err(TryRecvError::Disconnected) => Err("reading it failed unexpectedly".to_owned()),
-        };
+        let (_, pending) = self.running.as_ref()?;
+        let result = pending.poll(|| Err("reading it failed unexpectedly".to_owned()))?;
         let (path, _) = self.running.take()?;
         Some(Loaded { path, result })
     }
 }
 
-/// Views that are being read.
-pub struct ViewsLoader(Receiver<Result<DatasetViews, String>>);
-
-impl ViewsLoader {
-    /// Calls `wake` when it is done.
-    pub fn start(read: ReadViews, wake: impl Fn() + Send + 'static) -> Self {
-        let (sender, receiver) = channel();
-        std::thread::spawn(move || {
-            // nobody listens if another scene was opened since
-            let _ = sender.send(read());
-            wake();
-        });
-        Self(receiver)
-    }
-
-    pub fn poll(&self) -> Option<Result<DatasetViews, String>> {
-        match self.0.try_recv() {
-            Ok(result) => Some(result),
-            Err(TryRecvError::Empty) => None,
-            Err(TryRecvError::Disconnected) => Some(Err("reading the dataset failed unexpectedly".to_owned())),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::sync::mpsc::{Receiver, channel};
+
     use dpges_core::scene::lod::CAMERAS;
 
     use super::*;
+    use crate::fixtures::camera;
     use crate::path::CameraPath;
-    use crate::path::tests::camera;
     use crate::stream::fixtures::{filled, forest, write};
 
     fn wait(loader: &mut Loader, woken: &Receiver<()>) -> Loaded {
@@ -156,8 +121,7 @@ mod tests {
     #[test]
     fn scenes_in_levels_of_detail_are_shown_with_their_cameras() {
         let folder = tempfile::tempdir().unwrap();
-        let index = forest(1, 1);
-        write(folder.path(), index.clone(), |cell| filled(&index, cell, [5, 50 + cell]));
+        write(folder.path(), forest(1, 1), |index, cell| filled(index, cell, [5, 50 + cell]));
         assert!(matches!(open_scene(folder.path()).unwrap().views, Views::None));
         let cameras = vec![camera([4.0, 0.0, 1.0], 50.0), camera([0.0, 4.0, 1.5], 60.0)];
         CameraPath::new(cameras, false).unwrap().save(&folder.path().join(CAMERAS)).unwrap();

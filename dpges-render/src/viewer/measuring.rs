@@ -6,12 +6,10 @@ use glam::DVec3;
 
 const COLOUR: Color32 = Color32::from_rgb(255, 200, 60);
 
-/// Up to two picked points.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Measuring {
-    /// Whether clicks pick points.
     pub active: bool,
-    points: Vec<DVec3>,
+    pub points: Vec<DVec3>,
 }
 
 impl Measuring {
@@ -21,14 +19,6 @@ impl Measuring {
             self.points.clear();
         }
         self.points.push(point);
-    }
-
-    pub fn clear(&mut self) {
-        self.points.clear();
-    }
-
-    pub fn points(&self) -> &[DVec3] {
-        &self.points
     }
 
     /// World units; `None` before the second point.
@@ -61,7 +51,6 @@ impl Measuring {
     }
 }
 
-/// With four significant digits.
 pub fn text_of(distance: f64) -> String {
     let digits = (3.0 - distance.abs().max(1e-12).log10().floor()).clamp(0.0, 9.0) as usize;
     format!("{distance:.digits$}")
@@ -87,6 +76,7 @@ mod tests {
     use glam::dvec3;
 
     use super::*;
+    use crate::fixtures::pinhole;
 
     #[test]
     fn two_points_have_a_distance_and_a_third_begins_anew() {
@@ -96,7 +86,7 @@ mod tests {
         measuring.pick(dvec3(1.0, 3.0, 4.0));
         assert_eq!(measuring.distance(), Some(5.0));
         measuring.pick(DVec3::ZERO);
-        assert_eq!((measuring.points(), measuring.distance()), (&[DVec3::ZERO][..], None));
+        assert_eq!((&measuring.points[..], measuring.distance()), (&[DVec3::ZERO][..], None));
     }
 
     #[test]
@@ -108,18 +98,7 @@ mod tests {
     #[test]
     fn pixels_and_places_in_the_window_agree() {
         let pose = CameraFromWorld::look_at(DVec3::X, DVec3::ZERO, DVec3::Z);
-        let (width, height) = (320, 180);
-        let camera = Camera {
-            camera_from_world: pose,
-            fx: 100.0,
-            fy: 100.0,
-            cx: 160.0,
-            cy: 90.0,
-            width,
-            height,
-            near: 0.1,
-            lens: None,
-        };
+        let camera = pinhole(pose, 100.0, [320, 180]);
         let rect = Rect::from_min_size(egui::pos2(20.0, 10.0), egui::vec2(640.0, 360.0));
         let place = at_pixel(rect, &camera, 80.0, 45.0);
         assert_eq!(place, egui::pos2(180.0, 100.0));

@@ -9,6 +9,12 @@ pub enum Message {
     Error(String),
 }
 
+impl From<Result<String, String>> for Message {
+    fn from(outcome: Result<String, String>) -> Self {
+        outcome.map_or_else(Self::Error, Self::Note)
+    }
+}
+
 impl Message {
     /// Shows the line. Returns whether it was closed.
     pub fn show(&self, ui: &mut Ui) -> bool {

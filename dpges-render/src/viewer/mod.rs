@@ -8,15 +8,15 @@ mod error;
 mod frame_times;
 #[cfg(test)]
 mod gpu_tests;
-mod help;
 mod keys;
 mod live;
 mod loading;
 mod measuring;
 mod messages;
-pub mod navigation;
+mod navigation;
 mod panels;
 mod path_editor;
+mod pending;
 mod picture;
 mod recent;
 mod resolution;

@@ -4,14 +4,12 @@ use std::path::Path;
 
 use dpges_core::camera::Camera;
 
-use crate::CameraPath;
+use crate::path::{CameraPath, PathError};
 
-/// Key cameras in their order, and the preview of the path through them.
 pub struct PathEditor {
     pub cameras: Vec<Camera>,
     /// Time for the whole path, s.
     pub seconds: f64,
-    /// File name as typed.
     pub file: String,
     /// Time since the preview began, s; `None`: it does not play.
     playing: Option<f64>,
@@ -24,7 +22,6 @@ impl Default for PathEditor {
 }
 
 impl PathEditor {
-    /// Moves a key camera to the place of another.
     pub fn reorder(&mut self, from: usize, to: usize) {
         if from < self.cameras.len() && to < self.cameras.len() {
             let camera = self.cameras.remove(from);
@@ -37,7 +34,6 @@ impl PathEditor {
         self.playing = None;
     }
 
-    /// A path needs two cameras.
     pub fn can_play(&self) -> bool {
         self.cameras.len() >= 2
     }
@@ -59,29 +55,20 @@ impl PathEditor {
         let now = self.playing? + seconds;
         let share = now / self.seconds;
         self.playing = (share < 1.0).then_some(now);
-        self.camera_at(share.min(1.0))
+        Some(self.path().ok()?.at(share.min(1.0)))
     }
 
-    fn camera_at(&self, share: f64) -> Option<Camera> {
-        Some(CameraPath::new(self.cameras.clone(), false).ok()?.at(share))
+    fn path(&self) -> Result<CameraPath, PathError> {
+        CameraPath::new(self.cameras.clone(), false)
     }
 
-    /// Writes the key cameras as JSON.
-    ///
-    /// # Errors
-    /// A message that names the file and the problem.
-    pub fn save(&self, path: &Path) -> Result<(), String> {
-        let path_of_cameras = CameraPath::new(self.cameras.clone(), false).map_err(|error| error.to_string())?;
-        path_of_cameras.save(path).map_err(|error| error.to_string())
+    pub fn save(&self, path: &Path) -> Result<(), PathError> {
+        self.path()?.save(path)
     }
 
-    /// Takes the key cameras of a file; `near` is their near plane, world units.
-    ///
-    /// # Errors
-    /// A message that names the file and the problem.
-    pub fn load(&mut self, path: &Path, near: f64) -> Result<(), String> {
-        let loaded = CameraPath::load(path, near).map_err(|error| error.to_string())?;
-        self.cameras = loaded.keys().to_vec();
+    /// Takes the key cameras of a file; `near` is the near plane, world units, of those that have none.
+    pub fn load(&mut self, path: &Path, near: f64) -> Result<(), PathError> {
+        self.cameras = CameraPath::load(path, near)?.keys().to_vec();
         self.playing = None;
         Ok(())
     }
@@ -89,24 +76,12 @@ impl PathEditor {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::camera::CameraFromWorld;
-    use glam::{DVec3, dvec3};
-
     use super::*;
+    use crate::fixtures::camera;
 
     fn editor(count: usize) -> PathEditor {
-        let camera = |at: usize| Camera {
-            camera_from_world: CameraFromWorld::look_at(dvec3(at as f64, 3.0, 1.0), DVec3::ZERO, DVec3::Z),
-            fx: 100.0,
-            fy: 100.0,
-            cx: 32.0,
-            cy: 24.0,
-            width: 64,
-            height: 48,
-            near: 0.1,
-            lens: None,
-        };
-        PathEditor { cameras: (0..count).map(camera).collect(), ..PathEditor::default() }
+        let cameras = (0..count).map(|at| camera([at as f64, 3.0, 1.0], 100.0)).collect();
+        PathEditor { cameras, ..PathEditor::default() }
     }
 
     fn order(editor: &PathEditor) -> Vec<f64> {
@@ -150,14 +125,9 @@ mod tests {
         saved.save(&file).unwrap();
         let mut loaded = PathEditor::default();
         loaded.load(&file, 0.1).unwrap();
-        for (a, b) in saved.cameras.iter().zip(&loaded.cameras) {
-            assert!((a.centre() - b.centre()).length() < 1e-9 && a.width == b.width);
-        }
-        assert_eq!(loaded.cameras.len(), 3);
-        std::fs::write(&file, "{").unwrap();
-        assert!(loaded.load(&file, 0.1).unwrap_err().contains("path.json"));
+        assert_eq!(order(&loaded), order(&saved));
+        assert!(loaded.load(&folder.path().join("absent.json"), 0.1).is_err());
         assert_eq!(loaded.cameras.len(), 3, "the old path stays");
-        assert!(loaded.load(&folder.path().join("absent.json"), 0.1).unwrap_err().contains("absent.json"));
         assert!(PathEditor::default().save(&file).is_err());
     }
 }

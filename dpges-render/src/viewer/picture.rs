@@ -14,7 +14,6 @@ use super::state::State;
 use crate::stream::StreamStatus;
 
 impl State {
-    /// Shows the scene in what is left of `ui`.
     pub(super) fn picture(&mut self, ui: &mut Ui) {
         let rect = ui.available_rect_before_wrap();
         let response = ui.allocate_rect(rect, Sense::click_and_drag());
@@ -30,15 +29,11 @@ impl State {
         }
         let compared = self.compared_view(ui);
         let Some(camera) = self.draw(ui, rect, compared, moving) else { return };
-        let kind = self.comparing.kind;
-        if compared.is_none() {
-            self.comparing.kind = Comparison::Off;
-        }
+        let kind = if compared.is_some() { self.comparing.kind } else { Comparison::Off };
         let place = match self.canvas.as_ref().and_then(|canvas| canvas.texture()) {
-            Some((texture, _)) => self.comparing.show(ui, rect, &camera, texture),
+            Some((texture, _)) => self.comparing.show(kind, ui, rect, &camera, texture),
             None => rect,
         };
-        self.comparing.kind = kind;
         self.pick(&response, place);
         let painter = ui.painter().with_clip_rect(place);
         self.measuring.paint(&painter, place, &camera);
@@ -87,7 +82,7 @@ impl State {
         let scaled = |px: usize| ((px as f64 * scale).round() as usize).clamp(1, largest);
         let camera = match compared.and_then(|view| self.views.as_ref()?.cameras.get(view)) {
             Some((_, camera)) => {
-                let place = self.comparing.place(rect, camera);
+                let place = self.comparing.kind.place(rect, camera);
                 let px = |length: f32| scaled((length * ui.pixels_per_point()).round() as usize);
                 let near = self.navigator.viewpoint().lens.near;
                 Camera { near, ..camera.resized(px(place.width()), px(place.height())) }
@@ -133,12 +128,10 @@ impl State {
         self.stream = stream;
     }
 
-    /// Takes note of what the frame took, if it was `drawn`.
     fn take_time(&mut self, drawn: bool, moving: bool) {
         let now = Instant::now();
         if drawn {
-            let passes = self.canvas.iter().flat_map(|canvas| canvas.pass_times());
-            let passes = passes.map(|pass| (pass.name, pass.milliseconds)).collect();
+            let passes = self.canvas.iter().flat_map(|canvas| canvas.pass_times()).copied().collect();
             let wall_ms = self.last_drawn.map(|last| 1e3 * (now - last).as_secs_f64());
             let frame = FrameTime { wall_ms, passes };
             if let (true, Some(ms)) = (moving && wall_ms.is_some(), frame.ms()) {

@@ -33,7 +33,6 @@ impl Default for ResolutionControl {
 }
 
 impl ResolutionControl {
-    /// Share of the window's pixels along an edge.
     pub fn scale(&self) -> f64 {
         self.scale
     }

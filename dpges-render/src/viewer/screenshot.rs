@@ -9,10 +9,8 @@ use image::{ExtendedColorType, ImageEncoder};
 
 use crate::Rgb8Image;
 
-/// Settings of a screenshot.
 #[derive(Clone, Debug)]
 pub struct ScreenshotForm {
-    /// File name as typed.
     pub file: String,
     /// Width and height in px; `None`: as in the window.
     pub size: Option<[usize; 2]>,
@@ -32,10 +30,6 @@ pub fn unused(path: &Path) -> PathBuf {
     std::iter::once(path.to_owned()).chain(numbered).find(|path| !path.exists()).unwrap_or_else(|| path.to_owned())
 }
 
-/// Writes a PNG.
-///
-/// # Errors
-/// [`dpges_core::Error::Io`] naming `path`.
 pub fn save_png(picture: &Rgb8Image, path: &Path) -> dpges_core::Result<()> {
     write_atomically(path, |file| {
         let mut encoded = Vec::new();

@@ -9,9 +9,7 @@ use super::live::LiveScene;
 use super::loading::Opened;
 use super::views::DatasetViews;
 
-/// The first content of the window.
 pub enum Start {
-    /// The page of possible actions.
     Page,
     /// A scene file or the folder of a run, which is read while the window is there already.
     Open(PathBuf),

@@ -7,7 +7,6 @@ use egui::{RichText, ScrollArea, TextEdit, Ui};
 use super::dialogs::Purpose;
 use super::recent::RecentFiles;
 
-/// The choice on the page.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Choice {
     Ask(Purpose),
@@ -46,10 +45,10 @@ pub fn show(ui: &mut Ui, recent: &RecentFiles, typed: &mut String) -> Option<Cho
             ui.add_space(4.0);
             ui.monospace("dpges train --out runs/first");
             ui.monospace("dpges train PHOTOGRAPHS --view");
-            if !recent.is_empty() {
+            if !recent.paths.is_empty() {
                 ui.add_space(20.0);
                 ui.label(RichText::new("Recent").strong());
-                for path in recent.iter() {
+                for path in &recent.paths {
                     let name = ui.link(path.display().to_string());
                     if name.clicked() {
                         choice = Some(Choice::Open(path.clone()));

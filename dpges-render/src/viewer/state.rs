@@ -12,11 +12,11 @@ use super::comparison::Comparing;
 use super::dialogs::{Dialogs, Purpose};
 use super::frame_times::FrameTimes;
 use super::live::LiveScene;
-use super::loading::ViewsLoader;
 use super::measuring::Measuring;
 use super::messages::Message;
 use super::navigation::{Extent, Lens, Navigator, Surroundings, Viewpoint, mean_up};
 use super::path_editor::PathEditor;
+use super::pending::Pending;
 use super::resolution::ResolutionControl;
 use super::screenshot::{ScreenshotForm, save_png, unused};
 use super::views::DatasetViews;
@@ -26,7 +26,6 @@ use crate::{Display, RenderError, RenderOptions};
 /// Field of view where no camera gives one, rad.
 const FIELD_OF_VIEW: f64 = 0.9;
 
-/// The scene on the screen.
 pub struct ShownScene {
     pub name: String,
     pub info: SceneInfo,
@@ -35,7 +34,6 @@ pub struct ShownScene {
     pub extent: Extent,
 }
 
-/// How many pixels are drawn.
 pub struct Resolution {
     /// Whether the scale holds the frame rate.
     pub automatic: bool,
@@ -45,17 +43,14 @@ pub struct Resolution {
     pub control: ResolutionControl,
 }
 
-/// The content of the window, and its options.
 pub struct State {
     pub canvas: Option<Canvas>,
     pub scene: Option<ShownScene>,
-    /// Counts the scenes that were shown.
     pub generation: u64,
     pub options: RenderOptions,
     pub views: Option<DatasetViews>,
     /// The camera of the dataset that the view is at or on its way to.
     pub at_view: Option<usize>,
-    /// The camera of the dataset that was chosen last.
     pub chosen_view: Option<usize>,
     pub navigator: Navigator,
     pub home: Viewpoint,
@@ -67,24 +62,19 @@ pub struct State {
     pub measuring: Measuring,
     pub path: PathEditor,
     pub screenshot: ScreenshotForm,
-    /// Size of the picture in the window, px.
     pub window_px: [usize; 2],
     pub dialogs: Dialogs,
     pub message: Option<Message>,
     pub live: Option<LiveScene>,
     pub panel_open: bool,
     pub help_open: bool,
-    /// The views of the scene, while they are read.
-    pub views_loader: Option<ViewsLoader>,
+    pub pending_views: Option<Pending<Result<DatasetViews, String>>>,
     /// How far the levels of detail are, where the scene has any.
     pub stream: Option<StreamStatus>,
 }
 
 impl State {
     /// Nothing yet.
-    ///
-    /// # Errors
-    /// The errors of the renderer on the device of `gpu`; without it, nothing is drawn.
     pub fn new(gpu: Option<&RenderState>) -> Result<Self, RenderError> {
         let info = SceneInfo::default();
         let lens = Lens { vertical_field_of_view: FIELD_OF_VIEW, near: info.near };
@@ -119,17 +109,15 @@ impl State {
             live: None,
             panel_open: true,
             help_open: false,
-            views_loader: None,
+            pending_views: None,
             stream: None,
         })
     }
 
-    /// Asks for a file by a dialog.
     pub fn ask(&mut self, context: &Context, purpose: Purpose) {
         if !self.dialogs.is_open() {
             let name = if purpose == Purpose::SavePath { &self.path.file } else { &self.screenshot.file };
-            let woken = context.clone();
-            self.dialogs.ask(purpose, name, move || woken.request_repaint());
+            self.dialogs.ask(purpose, name, waker(context));
         }
     }
 
@@ -142,10 +130,8 @@ impl State {
 
     /// The same for a scene in levels of detail, with `scene` as the coarsest.
     pub fn show_levels(&mut self, context: &Context, name: String, scene: &SceneData, levels: Levels) -> bool {
-        let (counts, woken) = (levels.scene().counts(), context.clone());
-        let stream = |canvas: &mut Canvas| {
-            canvas.stream(levels, move || woken.request_repaint()).map_err(|error| error.to_string())
-        };
+        let counts = levels.scene().counts();
+        let stream = |canvas: &mut Canvas| canvas.stream(levels, waker(context)).map_err(|error| error.to_string());
         self.show(name, scene, counts, stream, true)
     }
 
@@ -179,7 +165,6 @@ impl State {
         true
     }
 
-    /// Goes to the first view of a scene.
     pub fn settle_in(&mut self, shown: &ShownScene) {
         let cameras = self.views.iter().flat_map(|views| &views.cameras).map(|(_, camera)| camera);
         let up = mean_up(cameras);
@@ -197,7 +182,6 @@ impl State {
         self.navigator.jump(self.home);
     }
 
-    /// Goes to a camera of the dataset.
     pub fn go_to_view(&mut self, index: usize, at_once: bool) {
         let (Some(views), Some(shown)) = (&self.views, &self.scene) else { return };
         let Some((_, camera)) = views.cameras.get(index) else { return };
@@ -246,16 +230,15 @@ impl State {
 
     pub fn save_path(&mut self) {
         let file = PathBuf::from(&self.path.file);
-        self.message = Some(match self.path.save(&file) {
-            Ok(()) => Message::Note(format!("{} cameras in {}", self.path.cameras.len(), absolute(&file))),
-            Err(reason) => Message::Error(reason),
-        });
+        let note = |()| format!("{} cameras in {}", self.path.cameras.len(), absolute(&file));
+        let saved = self.path.save(&file).map(note).map_err(|error| error.to_string());
+        self.message = Some(saved.into());
     }
 
     pub fn load_path(&mut self) {
         let near = self.navigator.viewpoint().lens.near;
         let file = PathBuf::from(&self.path.file);
-        self.message = self.path.load(&file, near).err().map(Message::Error);
+        self.message = self.path.load(&file, near).err().map(|error| Message::Error(error.to_string()));
     }
 
     /// Writes what the view shows, beside files that are there already.
@@ -263,19 +246,20 @@ impl State {
         let size = self.screenshot.size.unwrap_or(self.window_px);
         let camera = self.navigator.viewpoint().camera(size);
         let Some(canvas) = &mut self.canvas else { return };
-        let picture = match canvas.picture(&camera, &self.options) {
-            Ok(picture) => picture,
-            Err(error) => {
-                self.message = Some(Message::Error(format!("there is no screenshot: {error}")));
-                return;
-            }
-        };
-        let file = unused(file);
-        self.message = Some(match save_png(&picture, &file) {
-            Ok(()) => Message::Note(format!("{} × {} px in {}", size[0], size[1], absolute(&file))),
-            Err(error) => Message::Error(error.to_string()),
+        let picture = canvas.picture(&camera, &self.options);
+        let saved = picture.map_err(|error| format!("there is no screenshot: {error}")).and_then(|picture| {
+            let file = unused(file);
+            save_png(&picture, &file).map_err(|error| error.to_string())?;
+            Ok(format!("{} × {} px in {}", size[0], size[1], absolute(&file)))
         });
+        self.message = Some(saved.into());
     }
+}
+
+/// Asks for another frame.
+pub fn waker(context: &Context) -> impl Fn() + Send + Sync + Clone + 'static + use<> {
+    let context = context.clone();
+    move || context.request_repaint()
 }
 
 fn absolute(path: &Path) -> String {

@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use dpges_core::camera::{Camera, CameraFromWorld};
-use dpges_core::scene::{ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
+use dpges_core::camera::CameraFromWorld;
+use dpges_core::scene::{Rendering, SceneData, SceneInfo};
 use egui::Key;
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
@@ -17,22 +17,20 @@ use super::loading::{Opened, Opener, open_scene};
 use super::messages::Message;
 use super::start::{DeviceFailure, Start};
 use super::views::{DatasetViews, Views};
+use crate::fixtures::{neutral, pinhole};
 use crate::{Display, Rgb8Image};
 
 fn scene(count: usize) -> SceneData {
-    let model = ColourModel::default();
-    let mut surfels = SurfelData::neutral(model, count);
-    surfels.positions = (0..3 * count).map(|at| (at as f32).sin()).collect();
-    let info = SceneInfo { colour_model: model, layer_count: 2, modulation: 40.0, ..SceneInfo::default() };
-    SceneData { info, surfels, gaussians: GaussianData::neutral(model, 5), environment: None }
+    let info = SceneInfo { layer_count: 2, modulation: 40.0, ..SceneInfo::default() };
+    let mut scene = neutral(info, [count, 5]);
+    scene.surfels.positions = (0..3 * count).map(|at| (at as f32).sin()).collect();
+    scene
 }
 
 fn views(count: usize) -> DatasetViews {
     let camera = |at: usize| {
         let eye = dvec3((at as f64).cos(), (at as f64).sin(), 0.5) * 4.0;
-        let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
-        let (width, height) = (40, 30);
-        Camera { camera_from_world, fx: 40.0, fy: 40.0, cx: 20.0, cy: 15.0, width, height, near: 0.01, lens: None }
+        pinhole(CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z), 40.0, [40, 30])
     };
     let cameras = (0..count).map(|at| (format!("photo {at}"), camera(at))).collect();
     let photograph = |_| Some(Rgb8Image { width: 40, height: 30, bytes: vec![90; 3600] });
@@ -53,13 +51,23 @@ fn window(start: Start, opener: Opener) -> Harness<'static, Viewer> {
     harness
 }
 
+fn with(opened: Opened) -> Harness<'static, Viewer> {
+    window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene))
+}
+
 fn with_scene() -> Harness<'static, Viewer> {
-    window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened(20)) }, Arc::new(open_scene))
+    with(opened(20))
 }
 
 fn press(harness: &mut Harness<'_, Viewer>, key: Key) {
     harness.key_press(key);
     harness.run_steps(2);
+}
+
+fn hold(harness: &mut Harness<'_, Viewer>, key: Key) {
+    harness.key_down(key);
+    harness.run_steps(3);
+    harness.key_up(key);
 }
 
 fn click(harness: &mut Harness<'_, Viewer>, label: &str) {
@@ -73,6 +81,7 @@ fn wait(harness: &mut Harness<'_, Viewer>, until: impl Fn(&Viewer) -> bool) {
         std::thread::yield_now();
         harness.step();
     }
+    harness.run_steps(2);
 }
 
 #[test]
@@ -87,19 +96,16 @@ fn the_start_page_says_what_to_do_and_opens_what_is_typed() {
     let context = harness.ctx.clone();
     harness.state_mut().open(&context, PathBuf::from("/nowhere/bad"));
     wait(&mut harness, |viewer| viewer.state.message.is_some());
-    harness.run_steps(2);
     harness.get_by_label_contains("cannot read /nowhere/bad: it is no scene");
     harness.get_by_label_contains("Drop a scene file");
 
     harness.state_mut().open(&context, PathBuf::from("/runs/good"));
     wait(&mut harness, |viewer| viewer.state.scene.is_some());
-    harness.run_steps(2);
     harness.get_by_label_contains("7 surfels, 5 Gaussians");
     assert!(harness.query_by_label_contains("cannot read").is_none(), "the old message is gone");
 
     harness.state_mut().open(&context, PathBuf::from("/nowhere/worse"));
     wait(&mut harness, |viewer| viewer.state.message.is_some());
-    harness.run_steps(2);
     harness.get_by_label_contains("/nowhere/worse");
     harness.get_by_label_contains("7 surfels, 5 Gaussians");
     click(&mut harness, "close");
@@ -130,8 +136,7 @@ fn scenes_that_are_blended_show_nothing_but_an_image() {
     assert_eq!(harness.state().state.options.display, Display::Transmittance);
     let mut blended = scene(0);
     blended.info.rendering = Rendering::Ellipsoids;
-    let opened = Opened::whole(blended, Views::None);
-    let mut harness = window(Start::Scene { name: "stage".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
+    let mut harness = with(Opened::whole(blended, Views::None));
     press(&mut harness, Key::Num4);
     assert_eq!(harness.state().state.options.display, Display::Image);
 }
@@ -152,9 +157,7 @@ fn cameras_are_stepped_through_in_a_ring_and_left_by_the_hands() {
     harness.get_by_label("photo 3").click();
     harness.run_steps(200);
     assert_eq!(harness.state().state.at_view, Some(3));
-    harness.key_down(Key::W);
-    harness.run_steps(3);
-    harness.key_up(Key::W);
+    hold(&mut harness, Key::W);
     assert_eq!((harness.state().state.at_view, harness.state().state.chosen_view), (None, Some(3)));
 }
 
@@ -166,9 +169,7 @@ fn the_comparison_says_how_to_get_back_to_its_camera() {
     click(&mut harness, "wipe");
     assert_eq!(harness.state().state.comparing.kind, Comparison::Wipe);
     assert!(harness.query_by_label("Back to it").is_none());
-    harness.key_down(Key::ArrowLeft);
-    harness.run_steps(3);
-    harness.key_up(Key::ArrowLeft);
+    hold(&mut harness, Key::ArrowLeft);
     harness.run_steps(120);
     click(&mut harness, "Back to it");
     assert_eq!(harness.state().state.at_view, Some(0));
@@ -277,14 +278,10 @@ fn views_come_after_their_scene_and_the_view_goes_to_the_first_unless_it_was_mov
             released.recv().unwrap();
             Ok(views(6))
         };
-        let opened = Opened::whole(scene(20), Views::Later(Box::new(read)));
-        let mut harness =
-            window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
+        let mut harness = with(Opened::whole(scene(20), Views::Later(Box::new(read))));
         harness.get_by_label("reading the dataset");
         if moves {
-            harness.key_down(Key::W);
-            harness.run_steps(5);
-            harness.key_up(Key::W);
+            hold(&mut harness, Key::W);
             harness.run_steps(120);
         }
         let before = harness.state().state.navigator.viewpoint().pose.eye;
@@ -301,10 +298,8 @@ fn views_come_after_their_scene_and_the_view_goes_to_the_first_unless_it_was_mov
 #[test]
 fn views_that_cannot_be_read_leave_the_scene() {
     let read = || Err("the folder photographs is gone".to_owned());
-    let opened = Opened::whole(scene(20), Views::Later(Box::new(read)));
-    let mut harness = window(Start::Scene { name: "room".to_owned(), opened: Box::new(opened) }, Arc::new(open_scene));
+    let mut harness = with(Opened::whole(scene(20), Views::Later(Box::new(read))));
     wait(&mut harness, |viewer| viewer.state.message.is_some());
-    harness.run_steps(2);
     harness.get_by_label_contains("the folder photographs is gone");
     harness.get_by_label_contains("20 surfels");
 }

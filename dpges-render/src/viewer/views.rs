@@ -16,13 +16,11 @@ pub struct DatasetViews {
 }
 
 impl DatasetViews {
-    /// Cameras without photographs.
     pub fn without_photographs(cameras: Vec<(String, Camera)>) -> Self {
         Self { cameras, photograph: Box::new(|_| None) }
     }
 }
 
-/// The views of a scene that is opened.
 pub enum Views {
     None,
     Ready(DatasetViews),
@@ -30,5 +28,4 @@ pub enum Views {
     Later(ReadViews),
 }
 
-/// Reads views.
 pub type ReadViews = Box<dyn FnOnce() -> Result<DatasetViews, String> + Send>;

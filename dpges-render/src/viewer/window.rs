@@ -3,31 +3,24 @@
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 
-use eframe::egui_wgpu::{WgpuConfiguration, WgpuSetup, WgpuSetupCreateNew, WgpuSetupExisting};
+use eframe::egui_wgpu::{WgpuConfiguration, WgpuSetup, WgpuSetupCreateNew};
 
 use super::app::Viewer;
 use super::error::ViewerError;
 use super::loading::{Opener, open_scene};
 use super::start::{DeviceFailure, Start};
+use super::state::waker;
 use crate::Renderer;
 
 /// Name under which the desktop knows the window, and of the folder of its settings.
 const APPLICATION: &str = "dpges";
 
 /// A device of the application that the window draws on.
-#[derive(Clone)]
-pub struct Gpu {
-    pub instance: wgpu::Instance,
-    pub adapter: wgpu::Adapter,
-    pub device: wgpu::Device,
-    pub queue: wgpu::Queue,
-}
+pub use eframe::egui_wgpu::WgpuSetupExisting as Gpu;
 
-/// The content of [`run`] and its settings.
 pub struct ViewerOptions {
     pub title: String,
     pub start: Start,
-    /// Reads what is opened from the window.
     pub opener: Opener,
     /// `None`: a device of its own.
     pub gpu: Option<Gpu>,
@@ -62,8 +55,7 @@ pub fn run(options: ViewerOptions) -> Result<(), ViewerError> {
     let of_window = failure.clone();
     let create = move |context: &eframe::CreationContext<'_>| -> Result<Box<dyn eframe::App>, _> {
         if let (true, Some(state)) = (watches, &context.wgpu_render_state) {
-            let egui = context.egui_ctx.clone();
-            of_window.watch(state, move || egui.request_repaint());
+            of_window.watch(state, waker(&context.egui_ctx));
         }
         let gpu = context.wgpu_render_state.as_ref();
         let viewer = Viewer::new(&context.egui_ctx, gpu, context.storage, start, opener, of_window)?;
@@ -79,8 +71,8 @@ pub fn run(options: ViewerOptions) -> Result<(), ViewerError> {
 }
 
 fn setup(gpu: Option<Gpu>) -> WgpuSetup {
-    if let Some(Gpu { instance, adapter, device, queue }) = gpu {
-        return WgpuSetupExisting { instance, adapter, device, queue }.into();
+    if let Some(gpu) = gpu {
+        return gpu.into();
     }
     let device = |adapter: &wgpu::Adapter| wgpu::DeviceDescriptor {
         label: Some("viewer"),

@@ -9,7 +9,6 @@ use wgpu::{Adapter, Backends, Device, Instance, Queue, Surface, SurfaceTarget};
 /// The first error of the device since it was opened.
 pub type Fault = Arc<Mutex<Option<String>>>;
 
-/// A device and the canvas that it draws on.
 pub struct Gpu {
     pub adapter: Adapter,
     pub device: Device,
@@ -20,9 +19,6 @@ pub struct Gpu {
 
 impl Gpu {
     /// Opens the `backend` "auto", "webgpu" or "webgl" for `canvas`.
-    ///
-    /// # Errors
-    /// A message that names the feature missing in the browser.
     pub async fn open(canvas: &HtmlCanvasElement, backend: &str) -> Result<Self, String> {
         match backend {
             "webgpu" => Self::webgpu(canvas).await,

@@ -44,7 +44,6 @@ impl PageCamera {
     }
 }
 
-/// The visitor's choices.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PageOptions {
@@ -63,7 +62,6 @@ impl PageOptions {
     }
 }
 
-/// Properties of a scene.
 #[derive(Serialize)]
 pub struct Summary<'a> {
     pub surfels: usize,
@@ -76,7 +74,6 @@ pub struct Summary<'a> {
     pub info: &'a SceneInfo,
 }
 
-/// The device that draws.
 #[derive(Serialize)]
 pub struct Device<'a> {
     pub backend: &'a str,

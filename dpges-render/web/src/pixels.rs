@@ -46,9 +46,6 @@ impl Copy {
     }
 
     /// The pixels [height, width, 4] as red, green, blue, opacity, once the recorded commands have run on `device`.
-    ///
-    /// # Errors
-    /// If the device was lost.
     pub async fn pixels(self, device: Device) -> Result<Vec<u8>, String> {
         let mapped = Rc::new(RefCell::new(None));
         let result = mapped.clone();

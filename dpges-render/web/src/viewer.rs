@@ -18,7 +18,6 @@ use crate::page::{self, PageCamera, PageOptions};
 use crate::pixels::Copy;
 use levels::Levels;
 
-/// Draws scenes on a canvas.
 #[wasm_bindgen]
 pub struct Viewer {
     gpu: Gpu,
@@ -29,7 +28,6 @@ pub struct Viewer {
     view: Option<View>,
 }
 
-/// The view that is drawn next.
 struct View {
     camera: Camera,
     options: RenderOptions,
@@ -38,9 +36,6 @@ struct View {
 #[wasm_bindgen]
 impl Viewer {
     /// Draws on `canvas` through `backend`: "auto" (WebGPU if there is one, or else WebGL2), "webgpu" or "webgl".
-    ///
-    /// # Errors
-    /// A message that names the feature missing in the browser or its graphics device.
     pub async fn create(canvas: HtmlCanvasElement, backend: String) -> Result<Viewer, JsError> {
         console_error_panic_hook::set_once();
         let gpu = Gpu::open(&canvas, &backend).await.map_err(|cause| JsError::new(&cause))?;
@@ -78,9 +73,6 @@ impl Viewer {
     }
 
     /// Says what the next frames show: a camera and options as JSON.
-    ///
-    /// # Errors
-    /// The field that is wrong, or that there is no scene.
     pub fn set_view(&mut self, camera: &str, options: &str) -> Result<(), JsError> {
         let info = self.renderer.scene_info().ok_or_else(|| JsError::new("no scene is loaded"))?;
         let camera: PageCamera = serde_json::from_str(camera).map_err(|error| wrong("camera", &error))?;
@@ -92,9 +84,6 @@ impl Viewer {
     }
 
     /// Draws a frame on the canvas, which takes the camera's size. `false`: the browser had no room for a frame now.
-    ///
-    /// # Errors
-    /// Why it could not be drawn.
     pub fn draw(&mut self) -> Result<bool, JsError> {
         let Some(view) = &self.view else { return Ok(false) };
         let (width, height) = (view.camera.width as u32, view.camera.height as u32);

@@ -56,35 +56,17 @@ mod tests {
     use dpges_core::camera::CameraFromWorld;
 
     use super::*;
+    use crate::fixtures::pinhole;
 
     #[test]
     fn the_nearest_of_two_planes_is_seen_exactly() {
         let pose = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -2.0), DVec3::ZERO, -DVec3::Y);
-        let camera = Camera {
-            camera_from_world: pose,
-            fx: 20.0,
-            fy: 20.0,
-            cx: 8.0,
-            cy: 8.0,
-            width: 16,
-            height: 16,
-            near: 0.1,
-            lens: None,
-        };
+        let camera = pinhole(pose, 20.0, [16, 16]);
         // a slope z = x over everything, and behind it a wall at z = 3
-        let corner = |x: f32, y: f32, z: f32| [x, y, z];
-        let mesh = TriangleMesh {
-            positions: vec![
-                corner(-1.0, -3.0, -1.0),
-                corner(3.0, -3.0, 3.0),
-                corner(-1.0, 9.0, -1.0),
-                corner(-9.0, -9.0, 3.0),
-                corner(30.0, -9.0, 3.0),
-                corner(-9.0, 30.0, 3.0),
-            ],
-            triangles: vec![[3, 4, 5], [0, 1, 2]],
-            ..Default::default()
-        };
+        let slope = [[-1.0, -3.0, -1.0], [3.0, -3.0, 3.0], [-1.0, 9.0, -1.0]];
+        let wall = [[-9.0, -9.0, 3.0], [30.0, -9.0, 3.0], [-9.0, 30.0, 3.0]];
+        let (positions, triangles) = ([slope, wall].concat(), vec![[3, 4, 5], [0, 1, 2]]);
+        let mesh = TriangleMesh { positions, triangles, ..Default::default() };
         let depths = depth_map(&mesh, &camera);
         for (x, y) in [(8usize, 8usize), (5, 9), (11, 7)] {
             // the ray (s, ·, 1) from z = −2 meets z = x at t with t s = t − 2

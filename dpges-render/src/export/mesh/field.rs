@@ -2,27 +2,22 @@
 
 use std::collections::HashMap;
 
-/// Voxels along each side of a block.
 pub const BLOCK: i32 = 8;
-/// Voxels of a block.
 pub const BLOCK_LEN: usize = (BLOCK * BLOCK * BLOCK) as usize;
 
 /// Place of a block: that of its first voxel divided by [`BLOCK`]. Voxel (i, j, k) lies at (i, j, k) × voxel.
 pub type BlockKey = [i32; 3];
 
-/// The state of a voxel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Voxel {
     /// Mean signed distance from the surface, in units of the truncation: positive where it was seen, at most 1.
     pub distance: f32,
     /// Number of views in the mean; 0 if the voxel is unknown.
     pub weight: f32,
-    /// Mean red, green, blue.
     pub colour: [f32; 3],
 }
 
 impl Voxel {
-    /// Takes one view into the means.
     pub fn add(&mut self, distance: f32, colour: [f32; 3]) {
         self.weight += 1.0;
         let share = 1.0 / self.weight;
@@ -43,19 +38,10 @@ pub struct Block {
 #[derive(Default)]
 pub struct Field {
     pub blocks: Vec<Block>,
-    places: HashMap<BlockKey, usize>,
+    pub places: HashMap<BlockKey, usize>,
 }
 
 impl Field {
-    pub fn voxel_count(&self) -> usize {
-        self.blocks.len() * BLOCK_LEN
-    }
-
-    pub fn contains(&self, key: &BlockKey) -> bool {
-        self.places.contains_key(key)
-    }
-
-    /// Makes a block of unknown voxels.
     pub fn insert(&mut self, key: BlockKey) {
         self.places.insert(key, self.blocks.len());
         self.blocks.push(Block { key, voxels: Box::new([Voxel::default(); BLOCK_LEN]) });

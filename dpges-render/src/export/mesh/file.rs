@@ -1,28 +1,20 @@
 //! Meshes as files: PLY in the axes of the dataset, binary glTF with y up.
 
-use gltf_json::Mesh;
-use gltf_json::mesh::{Mode, Primitive, Semantic};
-use gltf_json::validation::Checked::Valid;
+use serde_json::json;
 
-use super::super::GENERATOR;
 use super::super::axes::UpAxis;
 use super::super::error::ExportError;
-use super::super::glb::{Column, GlbBuilder};
+use super::super::glb::GlbBuilder;
+use super::super::ply_head;
 use super::TriangleMesh;
 
-/// The comment in files.
 const NOTE: &str = "Mesh of the surfels alone: what Gaussians draw is missing";
 
 impl TriangleMesh {
     /// A PLY file: binary, little endian, `x y z nx ny nz` as floats, `red green blue` as bytes, and `vertex_indices`. It
     /// is in the axes of the dataset and in the coordinates of the scene; comments name `up` and the scene's `offset`.
     pub fn to_ply(&self, up: UpAxis, offset: [f64; 3]) -> Vec<u8> {
-        let [x, y, z] = offset;
-        let mut text = format!(
-            "ply\nformat binary_little_endian 1.0\ncomment Exported from {GENERATOR}\ncomment {NOTE}\n\
-             comment Vertical axis: {up}\n\
-             comment Offset: {x} {y} {z} (add it to positions to get coordinates of the dataset)\n"
-        );
+        let mut text = ply_head(&[NOTE], up, offset);
         text.push_str(&format!("element vertex {}\n", self.positions.len()));
         text.extend(["x", "y", "z", "nx", "ny", "nz"].map(|name| format!("property float {name}\n")));
         text.extend(["red", "green", "blue"].map(|name| format!("property uchar {name}\n")));
@@ -56,33 +48,19 @@ impl TriangleMesh {
         let turn = |rows: &[[f32; 3]]| -> Vec<[f32; 3]> {
             rows.iter().map(|&row| (rotation * glam::Vec3::from(row)).to_array()).collect()
         };
-        let mut builder = GlbBuilder::new();
         let linear: Vec<u8> = (0..=255u8).map(to_linear).collect();
         let colours = self.colours.iter().map(|rgb| {
             let [red, green, blue] = rgb.map(|channel| linear[usize::from(channel)]);
             [red, green, blue, 255]
         });
-        let attributes = [
-            (Valid(Semantic::Positions), builder.add(Column::positions(&turn(&self.positions)))),
-            (Valid(Semantic::Normals), builder.add(Column::floats(turn(&self.normals).into_iter()))),
-            (Valid(Semantic::Colors(0)), builder.add(Column::colours(colours))),
-        ];
-        let indices = builder.add(Column::indices(self.triangles.as_flattened()));
-        builder.root.meshes.push(Mesh {
-            extensions: None,
-            extras: Default::default(),
-            primitives: vec![Primitive {
-                attributes: attributes.into(),
-                extensions: None,
-                extras: Default::default(),
-                indices: Some(indices),
-                material: None,
-                mode: Valid(Mode::Triangles),
-                targets: None,
-            }],
-            weights: None,
+        let mut glb = GlbBuilder::default();
+        let attributes = json!({
+            "POSITION": glb.positions(&turn(&self.positions)),
+            "NORMAL": glb.floats(turn(&self.normals).into_iter()),
+            "COLOR_0": glb.colours(colours),
         });
-        Ok(builder.finish(NOTE, offset, |_| ()))
+        let indices = glb.indices(self.triangles.as_flattened());
+        Ok(glb.finish(json!({ "attributes": attributes, "indices": indices }), &[], NOTE, offset))
     }
 }
 

@@ -45,7 +45,6 @@ pub struct DepthView<'a> {
     pub colour: &'a [f32],
 }
 
-/// Views that become a mesh.
 pub struct Fusion {
     options: FusionOptions,
     field: Field,
@@ -72,8 +71,9 @@ impl Fusion {
         self.views += 1;
         let view =
             Sight { view, options: &self.options, truncation: self.options.truncation_voxels * self.options.voxel };
-        let keys: Vec<BlockKey> = view.blocks().into_iter().filter(|key| !self.field.contains(key)).collect();
-        if self.field.voxel_count() + keys.len() * BLOCK_LEN > self.options.max_voxels {
+        let keys: Vec<BlockKey> =
+            view.blocks().into_iter().filter(|key| !self.field.places.contains_key(key)).collect();
+        if (self.field.blocks.len() + keys.len()) * BLOCK_LEN > self.options.max_voxels {
             let FusionOptions { voxel, max_voxels, .. } = self.options;
             return Err(ExportError::TooManyVoxels { voxel, views: self.views, limit: max_voxels });
         }
@@ -83,9 +83,6 @@ impl Fusion {
     }
 
     /// The surface between what was seen and what lies behind it.
-    ///
-    /// # Errors
-    /// [`ExportError::NoSurface`] if there is none.
     pub fn finish(self) -> Result<TriangleMesh, ExportError> {
         let mesh = extract(&self.field, self.options.voxel);
         if mesh.triangles.is_empty() { Err(ExportError::NoSurface) } else { Ok(mesh) }
@@ -105,7 +102,6 @@ impl DepthView<'_> {
         Ok(())
     }
 
-    /// Depth at a pixel, if it has one.
     fn at(&self, x_px: usize, y_px: usize) -> Option<f64> {
         let pixel = y_px * self.camera.width + x_px;
         let depth = self.depth[pixel];
@@ -113,7 +109,6 @@ impl DepthView<'_> {
     }
 }
 
-/// A view and what it is needed for.
 struct Sight<'a> {
     view: &'a DepthView<'a>,
     options: &'a FusionOptions,
@@ -173,8 +168,7 @@ impl Sight<'_> {
     fn distance(&self, point: DVec3) -> Option<(f64, usize)> {
         let camera = self.view.camera;
         let (x, y, z) = camera.project(point)?;
-        let inside = x >= 0.0 && y >= 0.0 && x < camera.width as f64 && y < camera.height as f64;
-        if !inside {
+        if !(0.0..camera.width as f64).contains(&x) || !(0.0..camera.height as f64).contains(&y) {
             return None;
         }
         let (column, row) = (x as usize, y as usize);
@@ -220,30 +214,16 @@ mod tests {
 
     use super::super::depth_map;
     use super::*;
+    use crate::fixtures::{directions, pinhole};
 
     const RADIUS: f64 = 0.8;
 
     fn cameras() -> Vec<Camera> {
-        let golden = 2.399_963_229_728_653;
-        (0..30)
-            .map(|index| {
-                let z = 1.0 - (2.0 * f64::from(index) + 1.0) / 30.0;
-                let (sin, cos) = (golden * f64::from(index)).sin_cos();
-                let direction = DVec3::new((1.0 - z * z).sqrt() * cos, (1.0 - z * z).sqrt() * sin, z);
-                let pose = CameraFromWorld::look_at(3.0 * direction, DVec3::ZERO, DVec3::new(0.1, 0.2, 0.97));
-                Camera {
-                    camera_from_world: pose,
-                    fx: 90.0,
-                    fy: 95.0,
-                    cx: 41.0,
-                    cy: 38.5,
-                    width: 80,
-                    height: 80,
-                    near: 0.01,
-                    lens: None,
-                }
-            })
-            .collect()
+        let camera = |direction: DVec3| {
+            let pose = CameraFromWorld::look_at(3.0 * direction, DVec3::ZERO, DVec3::new(0.1, 0.2, 0.97));
+            Camera { fy: 95.0, cx: 41.0, cy: 38.5, ..pinhole(pose, 90.0, [80, 80]) }
+        };
+        directions(30).map(camera).collect()
     }
 
     /// Exact depth, coverage, and colour: of a ball around the origin whose colour is its position.

@@ -15,7 +15,7 @@ type Shape = ConstShape3u32<SIDE, SIDE, SIDE>;
 
 /// Vertices by the cell of the lattice that they lie in, and triangles of cells.
 struct Piece {
-    vertices: Vec<([i32; 3], Vertex)>,
+    vertices: HashMap<[i32; 3], Vertex>,
     triangles: Vec<[[i32; 3]; 3]>,
 }
 
@@ -36,11 +36,10 @@ pub fn extract(field: &Field, voxel: f64) -> TriangleMesh {
     let mut index_of: HashMap<[i32; 3], u32> = HashMap::new();
     // blocks share the vertices of cells between them
     for Piece { vertices, triangles } in pieces {
-        let local: HashMap<[i32; 3], Vertex> = vertices.into_iter().collect();
         for triangle in triangles {
             let corners = triangle.map(|cell| {
                 *index_of.entry(cell).or_insert_with(|| {
-                    let vertex = local[&cell];
+                    let vertex = vertices[&cell];
                     mesh.positions.push(vertex.position);
                     mesh.normals.push(vertex.normal);
                     mesh.colours.push(vertex.colour);

@@ -32,7 +32,6 @@ use super::error::ExportError;
 const MAGIC: [u8; 4] = *b"NGSP";
 const HEADER_LEN: usize = 32;
 const LEGACY_HEADER_LEN: usize = 16;
-/// Size of an entry of the table: compressed and plain size.
 const ENTRY_LEN: usize = 16;
 /// The splats are made for a low-pass filter that dims what it widens (Mip-Splatting).
 const ANTIALIASED: u8 = 1;
@@ -40,23 +39,28 @@ const HAS_EXTENSIONS: u8 = 2;
 /// Level that Niantic's library uses.
 const ZSTD_LEVEL: i32 = 12;
 
-/// Versions that are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SpzVersion {
     /// gzip; what most readers understand.
     Three,
-    /// Zstandard.
     #[default]
     Four,
 }
 
-/// The fields of both headers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Header {
     count: u32,
     degree: u8,
     fractional_bits: u8,
     flags: u8,
+}
+
+impl Header {
+    /// The first 16 bytes of a file of `version`, with the number of streams, which version 3 does not say.
+    fn bytes(self, version: u32, streams: u8) -> Vec<u8> {
+        let last = [self.degree, self.fractional_bits, self.flags, streams];
+        [MAGIC, version.to_le_bytes(), self.count.to_le_bytes(), last].concat()
+    }
 }
 
 /// The bytes of the file of `cloud`, which stands in axes with `up` upwards.
@@ -80,23 +84,16 @@ pub fn to_spz(cloud: &SplatCloud, up: UpAxis, version: SpzVersion) -> Result<Vec
 
 fn write_gzip(header: Header, streams: &Streams) -> std::io::Result<Vec<u8>> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
-    encoder.write_all(&MAGIC)?;
-    encoder.write_all(&3u32.to_le_bytes())?;
-    encoder.write_all(&header.count.to_le_bytes())?;
-    encoder.write_all(&[header.degree, header.fractional_bits, header.flags, 0])?;
-    streams.list().into_iter().try_for_each(|stream| encoder.write_all(stream))?;
+    encoder.write_all(&header.bytes(3, 0))?;
+    streams.0.iter().try_for_each(|stream| encoder.write_all(stream))?;
     encoder.finish()
 }
 
 fn write_zstd(header: Header, streams: &Streams) -> std::io::Result<Vec<u8>> {
-    let plain: Vec<&Vec<u8>> = streams.list().into_iter().filter(|stream| !stream.is_empty()).collect();
+    let plain: Vec<&Vec<u8>> = streams.0.iter().filter(|stream| !stream.is_empty()).collect();
     let compress = |stream: &&Vec<u8>| zstd::bulk::compress(stream, ZSTD_LEVEL);
     let compressed = plain.iter().map(compress).collect::<std::io::Result<Vec<_>>>()?;
-    let mut bytes = Vec::new();
-    bytes.extend(MAGIC);
-    bytes.extend(4u32.to_le_bytes());
-    bytes.extend(header.count.to_le_bytes());
-    bytes.extend([header.degree, header.fractional_bits, header.flags, plain.len() as u8]);
+    let mut bytes = header.bytes(4, plain.len() as u8);
     bytes.extend((HEADER_LEN as u32).to_le_bytes());
     bytes.resize(HEADER_LEN, 0);
     for (plain, compressed) in plain.iter().zip(&compressed) {
@@ -124,7 +121,7 @@ fn read_gzip(bytes: &[u8]) -> Result<(Header, Streams), String> {
     decoder.read_exact(&mut head).map_err(failed)?;
     let header = parse_header(&head, 3)?;
     let mut streams = Streams::default();
-    for (stream, len) in streams.list_mut().into_iter().zip(Streams::lengths(header.count, header.degree)) {
+    for (stream, len) in streams.0.iter_mut().zip(Streams::lengths(header.count, header.degree)) {
         // read as far as there is something: a header that lies must not take the memory
         let read = decoder.by_ref().take(len).read_to_end(stream).map_err(failed)?;
         if read as u64 != len {
@@ -140,7 +137,7 @@ fn read_zstd(bytes: &[u8]) -> Result<(Header, Streams), String> {
     let (stream_count, table_at) = (usize::from(head[15]), number::<4>(head, 16) as usize);
     let mut streams = Streams::default();
     let lengths = Streams::lengths(header.count, header.degree);
-    let wanted: Vec<_> = streams.list_mut().into_iter().zip(lengths).filter(|(_, len)| *len > 0).collect();
+    let wanted: Vec<_> = streams.0.iter_mut().zip(lengths).filter(|(_, len)| *len > 0).collect();
     if wanted.len() != stream_count {
         return Err(format!("it has {stream_count} streams, expected {}", wanted.len()));
     }
@@ -182,7 +179,6 @@ fn parse_header(head: &[u8], expected: u64) -> Result<Header, String> {
     Ok(Header { count: number::<4>(head, 8) as u32, degree, fractional_bits, flags })
 }
 
-/// Unsigned number of `LEN` bytes at `at`.
 fn number<const LEN: usize>(bytes: &[u8], at: usize) -> u64 {
     let mut wide = [0; 8];
     wide[..LEN].copy_from_slice(&bytes[at..at + LEN]);
@@ -230,10 +226,9 @@ mod tests {
     #[test]
     fn the_file_stands_upright() {
         let cloud = sample(3, 1);
-        for (up, expected) in [(UpAxis::MinusY, [0, 1, 2]), (UpAxis::Z, [0, 2, 1])] {
+        let [x, y, z] = cloud.positions[1];
+        for (up, expected) in [(UpAxis::MinusY, [x, -y, -z]), (UpAxis::Z, [x, z, -y])] {
             let read = from_spz(&to_spz(&cloud, up, SpzVersion::Four).unwrap()).unwrap();
-            let [x, y, z] = expected.map(|axis: usize| cloud.positions[1][axis]);
-            let expected = if up == UpAxis::Z { [x, y, -z] } else { [x, -y, -z] };
             assert!(read.positions[1].iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{up}");
         }
     }

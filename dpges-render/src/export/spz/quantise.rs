@@ -6,7 +6,6 @@ use super::super::cloud::SplatCloud;
 use super::super::error::ExportError;
 use super::super::harmonics::coefficient_count;
 
-/// Largest magnitude of a signed number of 24 bits.
 const LARGEST_FIXED: f64 = 8_388_607.0;
 /// More bits after the point than f32 has are of no use near the edge of a scene.
 const MOST_FRACTIONAL_BITS: u8 = 20;
@@ -21,21 +20,11 @@ const HARMONIC_STEPS: [i32; 2] = [8, 16];
 /// Magnitude of the smaller components of a quaternion, 9 bits for 1/√2.
 const QUATERNION_STEPS: f32 = 511.0;
 
-/// The attributes of all splats as bytes.
+/// The attributes of all splats as bytes: positions, alphas, colours, scales, rotations, harmonics.
 #[derive(Default)]
-pub struct Streams {
-    positions: Vec<u8>,
-    alphas: Vec<u8>,
-    colours: Vec<u8>,
-    scales: Vec<u8>,
-    rotations: Vec<u8>,
-    harmonics: Vec<u8>,
-}
+pub struct Streams(pub [Vec<u8>; 6]);
 
 /// As many as leave room for the farthest position.
-///
-/// # Errors
-/// [`ExportError::TooFar`].
 pub fn fractional_bits(cloud: &SplatCloud) -> Result<u8, ExportError> {
     let farthest = cloud.positions.as_flattened().iter().fold(0.0, |far: f64, &x| far.max(f64::from(x.abs())));
     let fits = |bits: &u8| (farthest * f64::from(1u32 << bits)).round() <= LARGEST_FIXED;
@@ -44,21 +33,6 @@ pub fn fractional_bits(cloud: &SplatCloud) -> Result<u8, ExportError> {
 }
 
 impl Streams {
-    pub fn list(&self) -> [&Vec<u8>; 6] {
-        [&self.positions, &self.alphas, &self.colours, &self.scales, &self.rotations, &self.harmonics]
-    }
-
-    pub fn list_mut(&mut self) -> [&mut Vec<u8>; 6] {
-        [
-            &mut self.positions,
-            &mut self.alphas,
-            &mut self.colours,
-            &mut self.scales,
-            &mut self.rotations,
-            &mut self.harmonics,
-        ]
-    }
-
     /// Bytes of each stream of `count` splats.
     pub fn lengths(count: u32, degree: u8) -> [u64; 6] {
         let rest = 3 * (coefficient_count(usize::from(degree)) - 1);
@@ -78,46 +52,47 @@ impl Streams {
             numbered.flat_map(|(index, k)| k.map(|k| harmonic(k, steps(index)))).collect::<Vec<_>>()
         };
         let log_scale = |&s: &f32| to_byte((s - SMALLEST_LOG_SCALE) / LOG_SCALE_STEP);
-        Self {
-            positions: cloud.positions.as_flattened().iter().flat_map(fixed).collect(),
-            alphas: cloud.opacities.iter().map(|o| to_byte((o * 255.0).min(LARGEST_ALPHA))).collect(),
-            colours: rows().flat_map(|k| k[0].map(|k0| to_byte((COLOUR_SCALE * k0 + 0.5) * 255.0))).collect(),
-            scales: cloud.log_scales.as_flattened().iter().map(log_scale).collect(),
-            rotations: cloud.quaternions.iter().flat_map(|&q| pack_quaternion(q).to_le_bytes()).collect(),
-            harmonics: rows().flat_map(rest).collect(),
-        }
+        Self([
+            cloud.positions.as_flattened().iter().flat_map(fixed).collect(),
+            cloud.opacities.iter().map(|o| to_byte((o * 255.0).min(LARGEST_ALPHA))).collect(),
+            rows().flat_map(|k| k[0].map(|k0| to_byte((COLOUR_SCALE * k0 + 0.5) * 255.0))).collect(),
+            cloud.log_scales.as_flattened().iter().map(log_scale).collect(),
+            cloud.quaternions.iter().flat_map(|&q| pack_quaternion(q).to_le_bytes()).collect(),
+            rows().flat_map(rest).collect(),
+        ])
     }
 
     pub fn to_cloud(&self, degree: usize, fractional_bits: u8) -> SplatCloud {
+        let [positions, alphas, colours, scales, rotations, harmonics] = &self.0;
         let unit = f64::from(1u32 << fractional_bits);
         let coordinate = |&[a, b, c]: &[u8; 3]| {
             // shifted up and down again, for the sign
             let fixed = i32::from_le_bytes([0, a, b, c]) >> 8;
             (f64::from(fixed) / unit) as f32
         };
-        let coordinates: Vec<f32> = self.positions.as_chunks::<3>().0.iter().map(coordinate).collect();
+        let coordinates: Vec<f32> = positions.as_chunks::<3>().0.iter().map(coordinate).collect();
         let log_scales = |bytes: &[u8; 3]| bytes.map(|s| SMALLEST_LOG_SCALE + LOG_SCALE_STEP * f32::from(s));
         let base = |k0: u8| (f32::from(k0) / 255.0 - 0.5) / COLOUR_SCALE;
         let width = 3 * (coefficient_count(degree) - 1);
-        let harmonics = |(row, colour): (usize, &[u8; 3])| {
-            let rest = &self.harmonics[row * width..(row + 1) * width];
+        let coefficients = |(row, colour): (usize, &[u8; 3])| {
+            let rest = &harmonics[row * width..(row + 1) * width];
             let rest = rest.iter().map(|&k| (f32::from(k) - 128.0) / 128.0);
             colour.map(base).into_iter().chain(rest).collect::<Vec<_>>()
         };
-        let rotations = self.rotations.as_chunks::<4>().0;
         SplatCloud {
             positions: coordinates.as_chunks::<3>().0.to_vec(),
-            quaternions: rotations.iter().map(|&q| unpack_quaternion(u32::from_le_bytes(q))).collect(),
-            log_scales: self.scales.as_chunks::<3>().0.iter().map(log_scales).collect(),
-            opacities: self.alphas.iter().map(|&o| f32::from(o) / 255.0).collect(),
+            quaternions: (rotations.as_chunks::<4>().0.iter())
+                .map(|&q| unpack_quaternion(u32::from_le_bytes(q)))
+                .collect(),
+            log_scales: scales.as_chunks::<3>().0.iter().map(log_scales).collect(),
+            opacities: alphas.iter().map(|&o| f32::from(o) / 255.0).collect(),
             degree,
-            harmonics: self.colours.as_chunks::<3>().0.iter().enumerate().flat_map(harmonics).collect(),
+            harmonics: colours.as_chunks::<3>().0.iter().enumerate().flat_map(coefficients).collect(),
             info: SceneInfo::default(),
         }
     }
 }
 
-/// The nearest of 0..=255.
 fn to_byte(value: f32) -> u8 {
     value.round().clamp(0.0, 255.0) as u8
 }
@@ -140,7 +115,6 @@ fn pack_quaternion([w, x, y, z]: [f32; 4]) -> u32 {
     })
 }
 
-/// Undoes [`pack_quaternion`].
 fn unpack_quaternion(packed: u32) -> [f32; 4] {
     let largest = (packed >> 30) as usize;
     let (mut xyzw, mut bits, mut squared) = ([0.0f32; 4], packed, 0.0);

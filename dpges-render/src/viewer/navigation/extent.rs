@@ -5,8 +5,8 @@ use dpges_core::scene::SceneData;
 use glam::DVec3;
 
 use super::viewpoint::{Lens, Pose, Viewpoint};
+use crate::percentile::percentiles;
 
-/// Positions that stand for all.
 const SAMPLE: usize = 8192;
 /// Share of the positions that are nearer to the centre than the radius.
 const INSIDE: f64 = 0.8;
@@ -37,11 +37,11 @@ impl Extent {
     }
 
     fn of_points(sample: Vec<DVec3>, otherwise: f64) -> Self {
-        let along = |axis: fn(&DVec3) -> f64| percentile(sample.iter().map(axis).collect(), 0.5).unwrap_or(0.0);
-        let centre = DVec3::new(along(|p| p.x), along(|p| p.y), along(|p| p.z));
+        let along = |axis: usize| percentiles(sample.iter().map(|point| point[axis]).collect(), [0.5]);
+        let centre = DVec3::from([0, 1, 2].map(|axis| along(axis).map_or(0.0, |[median]| median)));
         let distances = sample.iter().map(|point| (*point - centre).length()).collect();
-        let radius = percentile(distances, INSIDE).filter(|&radius| radius > 0.0);
-        Self { centre, radius: radius.unwrap_or(otherwise), sample }
+        let radius = percentiles(distances, [INSIDE]).map_or(0.0, |[radius]| radius);
+        Self { centre, radius: if radius > 0.0 { radius } else { otherwise }, sample }
     }
 
     /// A view of the whole from somewhat above.
@@ -55,18 +55,10 @@ impl Extent {
 
     /// The view of `camera`, turning about what it mostly sees.
     pub fn seen_from(&self, camera: &Camera) -> Viewpoint {
-        let is_seen = |&(x, y, _): &(f64, f64, f64)| {
-            (0.0..camera.width as f64).contains(&x) && (0.0..camera.height as f64).contains(&y)
-        };
-        let seen = self.sample.iter().filter_map(|&point| camera.project(point)).filter(is_seen);
-        let depths = seen.map(|(_, _, depth)| depth).collect();
-        Viewpoint::of(camera, percentile(depths, 0.5).unwrap_or(self.radius))
+        let seen = self.sample.iter().filter_map(|&point| camera.pixel(point));
+        let depth = percentiles(seen.map(|(_, depth)| depth).collect(), [0.5]);
+        Viewpoint::of(camera, depth.map_or(self.radius, |[depth]| depth))
     }
-}
-
-fn percentile(mut values: Vec<f64>, share: f64) -> Option<f64> {
-    let at = (share * values.len().saturating_sub(1) as f64).round() as usize;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
 /// Upwards, as most of `cameras` are held: the direction that is most nearly at right angles to what is to the right of

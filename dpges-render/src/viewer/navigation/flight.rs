@@ -7,7 +7,6 @@ const DURATION: [f64; 2] = [0.35, 1.4];
 /// Seconds for a way as long as the distance to the focus, or for a turn by a radian.
 const PACE: f64 = 0.6;
 
-/// A way from one view to another, slow at both ends.
 #[derive(Clone, Copy, Debug)]
 pub struct Flight {
     from: Viewpoint,
@@ -34,7 +33,6 @@ impl Flight {
     }
 }
 
-/// From 0 to 1 with speed 0 at both.
 fn eased(share: f64) -> f64 {
     share * share * (3.0 - 2.0 * share)
 }
@@ -53,18 +51,13 @@ fn between(from: &Viewpoint, to: &Viewpoint, share: f64) -> Viewpoint {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::camera::CameraFromWorld;
     use glam::{DQuat, DVec3, dvec3};
 
+    use super::super::viewpoint::tests::view_from;
     use super::*;
 
     fn view(eye: DVec3, field: f64) -> Viewpoint {
-        let pose = Pose::of(&CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z));
-        Viewpoint {
-            pose,
-            focus_distance: eye.length(),
-            lens: Lens { vertical_field_of_view: field, near: 0.1 * field },
-        }
+        Viewpoint { lens: Lens { vertical_field_of_view: field, near: 0.1 * field }, ..view_from(eye) }
     }
 
     #[test]

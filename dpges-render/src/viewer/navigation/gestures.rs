@@ -12,13 +12,14 @@ use super::navigator::{Input, Mode};
 const NOTCH: f64 = 0.18;
 /// Points of a touchpad's scroll that count as a notch.
 const POINTS_PER_NOTCH: f64 = 50.0;
-/// Notches of a page.
 const NOTCHES_PER_PAGE: f64 = 5.0;
 /// Speed of flying by keys, sizes of the scene per second.
 const WALK: f64 = 0.8;
 /// Speed of turning by keys, rad/s.
 const TURN: f64 = 1.2;
 const FASTER: f64 = 4.0;
+/// Angle of a drag over the height of the picture, rad.
+const HALF_TURN: f64 = PI;
 
 /// Gestures on the picture of `response`. Keys count only if `takes_keys`.
 pub fn gestures(ui: &Ui, response: &Response, mode: Mode, takes_keys: bool) -> Input {
@@ -33,7 +34,7 @@ pub fn gestures(ui: &Ui, response: &Response, mode: Mode, takes_keys: bool) -> I
         if let Some(button) = dragged {
             let pans = button != PointerButton::Primary || state.modifiers.shift;
             let looks = mode == Mode::Fly || state.modifiers.command;
-            input.drag = if pans { pan(drag) } else { turn(drag, looks) };
+            input.drag = if pans { pan(drag) } else { turn(HALF_TURN * drag, looks) };
             input.dragging = true;
         }
         if response.contains_pointer() {
@@ -54,9 +55,7 @@ fn pan(heights: DVec2) -> Motion {
     Motion { pan: heights, ..Motion::NONE }
 }
 
-/// A drag over the height of the picture is half a turn.
-fn turn(heights: DVec2, looks: bool) -> Motion {
-    let angles = PI * heights;
+fn turn(angles: DVec2, looks: bool) -> Motion {
     if looks { Motion { look: angles, ..Motion::NONE } } else { Motion { orbit: angles, ..Motion::NONE } }
 }
 
@@ -76,7 +75,8 @@ fn wheel(state: &InputState, mode: Mode, height: f64, input: &mut Input) {
         };
         if fingers {
             let heights = delta / height;
-            input.drag = input.drag + if modifiers.shift { pan(heights) } else { turn(heights, mode == Mode::Fly) };
+            let turn = turn(HALF_TURN * heights, mode == Mode::Fly);
+            input.drag = input.drag + if modifiers.shift { pan(heights) } else { turn };
         } else {
             let notches = match unit {
                 MouseWheelUnit::Line => delta.y,
@@ -104,12 +104,7 @@ fn keys(state: &InputState, mode: Mode) -> Motion {
     let faster = if state.modifiers.shift { FASTER } else { 1.0 };
     let walk = DVec3::new(axis(Key::D, Key::A), axis(Key::Q, Key::E), axis(Key::W, Key::S));
     let angles = TURN * DVec2::new(axis(Key::ArrowRight, Key::ArrowLeft), axis(Key::ArrowDown, Key::ArrowUp));
-    let turns = if mode == Mode::Fly {
-        Motion { look: angles, ..Motion::NONE }
-    } else {
-        Motion { orbit: angles, ..Motion::NONE }
-    };
-    faster * (turns + Motion { walk: WALK * walk, ..Motion::NONE })
+    faster * (turn(angles, mode == Mode::Fly) + Motion { walk: WALK * walk, ..Motion::NONE })
 }
 
 #[cfg(test)]

@@ -10,6 +10,5 @@ mod viewpoint;
 
 pub use extent::{Extent, mean_up};
 pub use gestures::gestures;
-pub use motion::Motion;
-pub use navigator::{Input, Mode, Navigator};
-pub use viewpoint::{Lens, Pose, Surroundings, Viewpoint};
+pub use navigator::{Mode, Navigator};
+pub use viewpoint::{Lens, Surroundings, Viewpoint};

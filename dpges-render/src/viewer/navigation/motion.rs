@@ -26,7 +26,6 @@ impl Motion {
     pub const NONE: Self =
         Self { orbit: DVec2::ZERO, look: DVec2::ZERO, pan: DVec2::ZERO, approach: 0.0, walk: DVec3::ZERO };
 
-    /// Whether a rate is too small to be seen.
     pub fn is_rest(&self) -> bool {
         let Self { orbit, look, pan, approach, walk } = self;
         orbit.length() + look.length() + pan.length() + approach.abs() + walk.length() < REST

@@ -26,12 +26,10 @@ pub enum Mode {
     Fly,
 }
 
-/// The input of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Input {
     /// Way of the fingers or the mouse since the last frame; followed at once.
     pub drag: Motion,
-    /// Whether fingers or a button are down.
     pub dragging: bool,
     /// A push, as by a wheel: an amount that is covered smoothly.
     pub push: Motion,
@@ -39,7 +37,6 @@ pub struct Input {
     pub keys: Motion,
 }
 
-/// A view that hands move.
 #[derive(Clone, Debug)]
 pub struct Navigator {
     viewpoint: Viewpoint,
@@ -53,7 +50,6 @@ pub struct Navigator {
 }
 
 impl Input {
-    /// Whether the hands do anything.
     pub fn is_active(&self) -> bool {
         self.drag != Motion::NONE || self.push != Motion::NONE || self.keys != Motion::NONE
     }
@@ -75,7 +71,6 @@ impl Navigator {
         self.viewpoint = viewpoint;
     }
 
-    /// Sets out for `viewpoint`.
     pub fn fly(&mut self, viewpoint: Viewpoint) {
         self.stop();
         self.flight = Some(Flight::new(self.viewpoint, viewpoint));
@@ -97,7 +92,6 @@ impl Navigator {
         }
     }
 
-    /// Whether it is on its way to a view.
     pub fn is_flying(&self) -> bool {
         self.flight.is_some()
     }
@@ -155,17 +149,18 @@ impl Viewpoint {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::camera::CameraFromWorld;
     use glam::{dvec2, dvec3};
 
+    use super::super::viewpoint::tests::view_from;
     use super::*;
 
     fn navigator() -> Navigator {
-        let eye = dvec3(4.0, 0.0, 1.0);
-        let pose = Pose::of(&CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z));
-        let lens = Lens { vertical_field_of_view: 0.9, near: 0.01 };
-        let viewpoint = Viewpoint { pose, focus_distance: eye.length(), lens };
-        Navigator::new(viewpoint, Surroundings { up: DVec3::Z, size: 1.0 })
+        Navigator::new(view_from(dvec3(4.0, 0.0, 1.0)), Surroundings { up: DVec3::Z, size: 1.0 })
+    }
+
+    /// Keys that walk ahead.
+    fn ahead() -> Input {
+        Input { keys: Motion { walk: dvec3(0.0, 0.0, 1.0), ..Motion::NONE }, ..Input::default() }
     }
 
     fn drag(orbit: f64) -> Input {
@@ -242,8 +237,7 @@ mod tests {
     #[test]
     fn keys_reach_their_speed_and_let_go() {
         let mut navigator = navigator();
-        let keys = Input { keys: Motion { walk: dvec3(0.0, 0.0, 1.0), ..Motion::NONE }, ..Input::default() };
-        (0..100).for_each(|_| assert!(navigator.advance(&keys, 0.01)));
+        (0..100).for_each(|_| assert!(navigator.advance(&ahead(), 0.01)));
         let way = (navigator.viewpoint().pose.eye - dvec3(4.0, 0.0, 1.0)).length();
         assert!((way - (1.0 - KEYS)).abs() < 0.02, "{way}");
         let mut frames = 0;
@@ -270,8 +264,7 @@ mod tests {
     #[test]
     fn a_slow_frame_is_no_jump() {
         let mut navigator = navigator();
-        let keys = Input { keys: Motion { walk: dvec3(0.0, 0.0, 1.0), ..Motion::NONE }, ..Input::default() };
-        navigator.advance(&keys, 60.0);
+        navigator.advance(&ahead(), 60.0);
         assert!((navigator.viewpoint().pose.eye - dvec3(4.0, 0.0, 1.0)).length() <= LONGEST_STEP);
     }
 

@@ -12,7 +12,6 @@ const POLE: f64 = 0.05;
 /// Nearest and farthest that the focus can be, in sizes of the scene.
 const FOCUS_RANGE: [f64; 2] = [1e-4, 1e3];
 
-/// Position and orientation of a camera in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// World units.
@@ -83,7 +82,6 @@ impl Lens {
     }
 }
 
-/// The properties of a scene that motions depend on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surroundings {
     /// Unit vector upwards, about which views turn.
@@ -92,7 +90,6 @@ pub struct Surroundings {
     pub size: f64,
 }
 
-/// All that a frame is seen from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Viewpoint {
     pub pose: Pose,
@@ -110,7 +107,6 @@ impl Viewpoint {
         self.lens.camera(&self.pose, size)
     }
 
-    /// The view after `motion`.
     #[must_use]
     pub fn moved(&self, motion: &Motion, surroundings: &Surroundings) -> Self {
         let Surroundings { up, size } = *surroundings;
@@ -139,18 +135,22 @@ impl Viewpoint {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use glam::{DVec2, dvec2, dvec3};
 
     use super::*;
 
     const WORLD: Surroundings = Surroundings { up: DVec3::Z, size: 2.0 };
 
-    fn view() -> Viewpoint {
-        let eye = dvec3(3.0, -2.0, 1.5);
+    /// From `eye` to the origin, about which it turns.
+    pub fn view_from(eye: DVec3) -> Viewpoint {
         let pose = Pose::of(&CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z));
         let lens = Lens { vertical_field_of_view: 0.9, near: 0.01 };
         Viewpoint { pose, focus_distance: eye.length(), lens }
+    }
+
+    fn view() -> Viewpoint {
+        view_from(dvec3(3.0, -2.0, 1.5))
     }
 
     #[test]

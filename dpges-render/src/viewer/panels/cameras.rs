@@ -4,12 +4,11 @@ use egui::{ScrollArea, Ui};
 
 use super::super::state::State;
 
-/// Height of the list, points.
 const HEIGHT: f32 = 130.0;
 
 pub fn show(state: &mut State, ui: &mut Ui) {
     let count = state.views.as_ref().map_or(0, |views| views.cameras.len());
-    if state.views_loader.is_some() {
+    if state.pending_views.is_some() {
         ui.horizontal(|ui| {
             ui.spinner();
             ui.weak("reading the dataset");

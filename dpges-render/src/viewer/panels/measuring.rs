@@ -9,11 +9,11 @@ pub fn show(state: &mut State, ui: &mut Ui) {
     let measuring = &mut state.measuring;
     ui.horizontal(|ui| {
         ui.toggle_value(&mut measuring.active, "Pick points");
-        if ui.add_enabled(!measuring.points().is_empty(), egui::Button::new("Clear")).clicked() {
-            measuring.clear();
+        if ui.add_enabled(!measuring.points.is_empty(), egui::Button::new("Clear")).clicked() {
+            measuring.points.clear();
         }
     });
-    for (point, name) in measuring.points().iter().zip(["from", "to"]) {
+    for (point, name) in measuring.points.iter().zip(["from", "to"]) {
         let [x, y, z] = point.to_array();
         ui.monospace(format!("{name:4} {x:9.4} {y:9.4} {z:9.4}"));
     }

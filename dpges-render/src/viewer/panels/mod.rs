@@ -28,7 +28,6 @@ const SECTIONS: [(&str, bool, Section); 8] = [
     ("Screenshot", false, screenshot::show),
 ];
 
-/// Shows all sections.
 pub fn show(state: &mut State, ui: &mut Ui) {
     ScrollArea::vertical().auto_shrink([false, true]).show(ui, |ui| {
         ui.add_space(4.0);

@@ -6,7 +6,6 @@ use super::super::dialogs::Purpose;
 use super::super::navigation::Viewpoint;
 use super::super::state::State;
 
-/// A request for a key camera.
 enum Request {
     Show(usize),
     Remove(usize),

@@ -8,10 +8,8 @@ use super::super::state::State;
 use crate::stream::StreamStatus;
 use crate::{Display, MAX_LAYERS, RenderOptions};
 
-/// Largest w of the slider.
 const LARGEST_MODULATION: f64 = 200.0;
 
-/// Name and size of the scene, and the way to another.
 pub fn title(state: &mut State, ui: &mut Ui) {
     let mut asked = None;
     ui.horizontal_wrapped(|ui| {
@@ -41,7 +39,6 @@ pub fn title(state: &mut State, ui: &mut Ui) {
     }
 }
 
-/// State of a scene in levels of detail: resident primitives, loads, failures.
 fn streamed(stream: &StreamStatus) -> String {
     let StreamStatus { resident, budget, loading, failed, .. } = stream;
     let mut text = format!("{resident} of at most {budget} primitives are in memory");

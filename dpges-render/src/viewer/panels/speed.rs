@@ -3,6 +3,7 @@
 use egui::{Slider, Ui};
 use egui_plot::{HLine, Legend, Line, Plot, PlotPoints};
 
+use super::super::frame_times::FrameTime;
 use super::super::resolution::LEAST_SCALE;
 use super::super::state::State;
 
@@ -17,7 +18,7 @@ pub fn show(state: &mut State, ui: &mut Ui) {
     }
     let goal = 1e3 / resolution.frames_per_second;
     let shows_goal = resolution.automatic;
-    let (wall, gpu) = (state.frame_times.wall(), state.frame_times.gpu());
+    let (wall, gpu) = (state.frame_times.line(|frame| frame.wall_ms), state.frame_times.line(FrameTime::gpu_ms));
     let plot = Plot::new("frame times").height(110.0).legend(Legend::default()).include_y(0.0).allow_drag(false);
     plot.allow_zoom(false).allow_scroll(false).show_x(false).y_axis_label("ms").show_axes([false, true]).show(
         ui,
@@ -35,7 +36,6 @@ pub fn show(state: &mut State, ui: &mut Ui) {
     }
 }
 
-/// Times of the passes of the last frame on the GPU.
 fn passes(state: &State, ui: &mut Ui) {
     let Some(frame) = state.frame_times.last() else { return };
     let Some(sum) = frame.gpu_ms() else {
@@ -43,10 +43,10 @@ fn passes(state: &State, ui: &mut Ui) {
         return;
     };
     egui::Grid::new("passes").num_columns(3).striped(true).show(ui, |ui| {
-        for (name, ms) in &frame.passes {
-            ui.label(*name);
-            ui.monospace(format!("{ms:7.2} ms"));
-            ui.weak(format!("{:3.0} %", 100.0 * ms / sum.max(1e-9)));
+        for pass in &frame.passes {
+            ui.label(pass.name);
+            ui.monospace(format!("{:7.2} ms", pass.milliseconds));
+            ui.weak(format!("{:3.0} %", 100.0 * pass.milliseconds / sum.max(1e-9)));
             ui.end_row();
         }
         ui.strong("GPU");

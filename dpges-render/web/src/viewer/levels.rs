@@ -41,9 +41,6 @@ impl Levels {
 impl Viewer {
     /// Takes the bytes of the index of a scene in levels of detail; messages call it `name`. Returns the parts that are needed
     /// before it is shown, as JSON. The scene before it stays.
-    ///
-    /// # Errors
-    /// A message about the index.
     pub fn open_levels(&mut self, index: &[u8], name: &str) -> Result<String, JsError> {
         let index = Index::from_bytes(index, name)?;
         let parts = json(&LodScene::parts(&index).map(|part| Wanted { cell: None, part }).collect::<Vec<_>>())?;
@@ -53,9 +50,6 @@ impl Viewer {
 
     /// Shows the scene whose index was opened, within `budget` primitives, if that is given, out of `parts`: the bytes of those that
     /// [`open_levels`](Self::open_levels) asked for. Returns what the scene is, as JSON.
-    ///
-    /// # Errors
-    /// A message about a part, or the reason why the scene cannot be drawn.
     pub fn show_levels(&mut self, parts: &Array, budget: Option<usize>) -> Result<String, JsError> {
         let index = self.levels.opened.take().ok_or_else(|| JsError::new("no index was opened"))?;
         let mut parts = parts.iter().map(|part| Uint8Array::from(part).to_vec());
