@@ -24,6 +24,7 @@ const LEAST_DB: [(Precision, DepthSource, f64); 4] = [
 /// badly. dB
 const LEAST_FAR_ON_GL_DB: f64 = 30.0;
 
+type Check = fn(&Headless) -> Result<(), Failed>;
 type Test = Box<dyn FnOnce(&Headless) -> Result<(), Failed> + Send>;
 
 struct Golden {
@@ -76,8 +77,7 @@ impl Golden {
             if attribute.is_left_out(model) {
                 return Vec::new();
             }
-            let name = attribute.name.replace(".detail", ".lobes");
-            numbers(&file, &name).into_iter().map(|value| value as f32).collect::<Vec<f32>>()
+            floats(&file, &attribute.name.replace(".detail", ".lobes"))
         };
         let scene = SceneData {
             info: SceneInfo {
@@ -91,13 +91,11 @@ impl Golden {
             },
             surfels: SurfelData::generate(model, SurfelData::ATTRIBUTES.iter().map(read)),
             gaussians: GaussianData::generate(model, GaussianData::ATTRIBUTES.iter().map(read)),
-            environment: file.tensor("environment").is_ok().then(|| {
-                let coefficients = numbers(&file, "environment").into_iter().map(|value| value as f32).collect();
-                EnvironmentData { coefficients }
-            }),
+            environment: (file.tensor("environment").is_ok())
+                .then(|| EnvironmentData { coefficients: floats(&file, "environment") }),
         };
-        let pixels = numbers(&file, "out.image");
-        let plane = |channel: usize| pixels.iter().skip(channel).step_by(3).map(|&value| value as f32);
+        let pixels = floats(&file, "out.image");
+        let plane = |channel: usize| pixels.iter().skip(channel).step_by(3).copied();
         let image = (0..3).flat_map(plane).collect();
         Self { scene, camera, image }
     }
@@ -123,6 +121,10 @@ fn shuffled(count: usize) -> Vec<usize> {
         rows.swap(last, (state >> 33) as usize % (last + 1));
     }
     rows
+}
+
+fn floats(file: &SafeTensors, name: &str) -> Vec<f32> {
+    numbers(file, name).into_iter().map(|value| value as f32).collect()
 }
 
 /// Whether the driver moves corners to steps of 1/16 px.
@@ -270,7 +272,7 @@ fn main() -> ExitCode {
             trial(name, Box::new(move |headless| agrees(headless, &path)))
         })
         .collect();
-    let others: [(&str, fn(&Headless) -> Result<(), Failed>); 4] = [
+    let others: [(&str, Check); 4] = [
         ("order_does_not_matter", order_does_not_matter),
         ("a_rim_at_the_depth_of_the_core_is_before_it_by_index", a_rim_at_the_depth_of_the_core_is_before_it_by_index),
         ("displays_differ", displays_differ),

@@ -27,11 +27,11 @@ pub(super) fn refinements(
     blocked: impl Fn(usize) -> bool,
 ) -> Vec<usize> {
     let least = if everything { 0.0 } else { LEAST_PX };
-    let view = View::new(camera);
+    let eye = camera.centre();
     // the widest first, then the first; widths are not negative, so that their bits are in their order
     let candidate = |cell: usize| {
         let hold = if refined(cell) { HELD } else { 1.0 };
-        let priority = hold * view.width_px(&index.cells[cell], hold);
+        let priority = hold * width_px(camera, eye, &index.cells[cell], hold);
         let may_be_refined = !index.cells[cell].children.is_empty() && priority >= least;
         may_be_refined.then(|| (priority.to_bits(), Reverse(cell)))
     };
@@ -54,44 +54,33 @@ pub(super) fn children_primitives(index: &Index, cell: usize) -> usize {
     index.cells[cell].children.iter().map(|&child| index.cells[child].primitives()).sum()
 }
 
-struct View<'a> {
-    camera: &'a Camera,
-    eye: DVec3,
-    focal_px: f64,
+/// Width of a primitive of `cell` as near to `eye` as the cell's box is, px; less if the box, made `larger`, is outside the
+/// picture.
+fn width_px(camera: &Camera, eye: DVec3, cell: &Cell, larger: f64) -> f64 {
+    let [min, max] = [cell.min, cell.max].map(|corner| DVec3::from(corner.map(f64::from)));
+    let distance = (eye.clamp(min, max) - eye).length().max(camera.near);
+    let width = 2.0 * f64::from(cell.size) * camera.fx.max(camera.fy) / distance;
+    if is_outside(camera, 0.5 * (min + max), 0.5 * larger * (max - min)) { OUTSIDE * width } else { width }
 }
 
-impl<'a> View<'a> {
-    fn new(camera: &'a Camera) -> Self {
-        Self { camera, eye: camera.centre(), focal_px: camera.fx.max(camera.fy) }
-    }
-
-    /// Width of a primitive of `cell` as near as the cell's box is, px; less if the box, made `larger`, is outside the picture.
-    fn width_px(&self, cell: &Cell, larger: f64) -> f64 {
-        let [min, max] = [cell.min, cell.max].map(|corner| DVec3::from(corner.map(f64::from)));
-        let distance = (self.eye.clamp(min, max) - self.eye).length().max(self.camera.near);
-        let width = 2.0 * f64::from(cell.size) * self.focal_px / distance;
-        if self.is_outside(0.5 * (min + max), 0.5 * larger * (max - min)) { OUTSIDE * width } else { width }
-    }
-
-    /// Whether all of the box that reaches `half` to both sides of `centre` is beyond one side of the picture, or behind the
-    /// camera.
-    fn is_outside(&self, centre: DVec3, half: DVec3) -> bool {
-        let pose = &self.camera.camera_from_world;
-        let at = pose.rotation * centre + pose.translation;
-        let Camera { fx, fy, cx, cy, width, height, near, .. } = *self.camera;
-        let sides = [
-            (DVec3::new(fx, 0.0, cx), 0.0),
-            (DVec3::new(-fx, 0.0, width as f64 - cx), 0.0),
-            (DVec3::new(0.0, fy, cy), 0.0),
-            (DVec3::new(0.0, -fy, height as f64 - cy), 0.0),
-            (DVec3::Z, near),
-        ];
-        // rows of the transpose turn a side into world axes
-        sides.iter().any(|&(inwards, least)| {
-            let reach = (pose.rotation.transpose() * inwards).abs().dot(half);
-            inwards.dot(at) + reach < least
-        })
-    }
+/// Whether all of the box that reaches `half` to both sides of `centre` is beyond one side of the picture, or behind the
+/// camera.
+fn is_outside(camera: &Camera, centre: DVec3, half: DVec3) -> bool {
+    let pose = &camera.camera_from_world;
+    let at = pose.rotation * centre + pose.translation;
+    let Camera { fx, fy, cx, cy, width, height, near, .. } = *camera;
+    let sides = [
+        (DVec3::new(fx, 0.0, cx), 0.0),
+        (DVec3::new(-fx, 0.0, width as f64 - cx), 0.0),
+        (DVec3::new(0.0, fy, cy), 0.0),
+        (DVec3::new(0.0, -fy, height as f64 - cy), 0.0),
+        (DVec3::Z, near),
+    ];
+    // rows of the transpose turn a side into world axes
+    sides.iter().any(|&(inwards, least)| {
+        let reach = (pose.rotation.transpose() * inwards).abs().dot(half);
+        inwards.dot(at) + reach < least
+    })
 }
 
 #[cfg(test)]
@@ -102,8 +91,7 @@ mod tests {
     #[test]
     fn boxes_are_outside_only_where_nothing_of_them_is_seen() {
         let camera = camera([0.0, 0.0, -10.0]);
-        let view = View::new(&camera);
-        let outside = |at: [f64; 3], half: f64| view.is_outside(DVec3::from(at), DVec3::splat(half));
+        let outside = |at: [f64; 3], half: f64| is_outside(&camera, DVec3::from(at), DVec3::splat(half));
         assert!(!outside([0.0; 3], 1.0) && !outside([4.9, 0.0, 0.0], 0.5) && !outside([0.0, 0.0, -10.0], 30.0));
         assert!(outside([0.0, 0.0, -12.0], 1.0), "behind");
         assert!(outside([8.0, 0.0, 0.0], 1.0) && outside([0.0, -8.0, 0.0], 1.0));

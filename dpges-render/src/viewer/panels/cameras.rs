@@ -19,34 +19,24 @@ pub fn show(state: &mut State, ui: &mut Ui) {
         ui.weak("This scene came without cameras: `--data DATASET` names them.");
         return;
     }
-    let mut step = 0;
     ui.horizontal(|ui| {
         if ui.button("Previous").clicked() {
-            step = -1;
+            state.step_view(-1);
         }
         if ui.button("Next").clicked() {
-            step = 1;
+            state.step_view(1);
         }
         ui.weak(format!("{count} cameras"));
     });
-    if step != 0 {
-        state.step_view(step);
-    }
-    let mut chosen = None;
     let row = ui.spacing().interact_size.y;
     let list = ScrollArea::vertical().id_salt("cameras").max_height(HEIGHT).auto_shrink([false, true]);
     list.show_rows(ui, row, count, |ui, rows| {
         for index in rows {
             let name = state.views.as_ref().map_or("", |views| &views.cameras[index].0);
             let response = ui.selectable_label(state.chosen_view == Some(index), name);
-            if response.double_clicked() {
-                chosen = Some((index, true));
-            } else if response.clicked() {
-                chosen = Some((index, false));
+            if response.clicked() || response.double_clicked() {
+                state.go_to_view(index, response.double_clicked());
             }
         }
     });
-    if let Some((index, at_once)) = chosen {
-        state.go_to_view(index, at_once);
-    }
 }

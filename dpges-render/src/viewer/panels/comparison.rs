@@ -18,21 +18,17 @@ pub fn show(state: &mut State, ui: &mut Ui) {
     if state.comparing.kind == Comparison::Off {
         return;
     }
-    match (state.at_view, state.chosen_view) {
-        (Some(_), _) if state.comparing.kind == Comparison::Error => {
-            if let Some(error) = state.comparing.mean_error() {
-                ui.label(format!("mean absolute error {:.2} of 255", 255.0 * error));
-            }
-            ui.weak("dark: equal; yellow: a quarter of full scale or more");
+    if state.at_view.is_none() {
+        ui.label("The view has left the camera.");
+        if let Some(chosen) = state.chosen_view
+            && ui.button("Back to it").clicked()
+        {
+            state.go_to_view(chosen, false);
         }
-        (Some(_), _) => {}
-        (None, chosen) => {
-            ui.label("The view has left the camera.");
-            if let Some(chosen) = chosen
-                && ui.button("Back to it").clicked()
-            {
-                state.go_to_view(chosen, false);
-            }
+    } else if state.comparing.kind == Comparison::Error {
+        if let Some(error) = state.comparing.mean_error() {
+            ui.label(format!("mean absolute error {:.2} of 255", 255.0 * error));
         }
+        ui.weak("dark: equal; yellow: a quarter of full scale or more");
     }
 }

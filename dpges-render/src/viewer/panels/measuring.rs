@@ -17,13 +17,9 @@ pub fn show(state: &mut State, ui: &mut Ui) {
         let [x, y, z] = point.to_array();
         ui.monospace(format!("{name:4} {x:9.4} {y:9.4} {z:9.4}"));
     }
-    match (measuring.distance(), measuring.active) {
-        (Some(distance), _) => {
-            ui.strong(format!("{} world units", text_of(distance)));
-        }
-        (None, true) => {
-            ui.weak("Click two points on surfaces.");
-        }
-        (None, false) => {}
+    if let Some(distance) = measuring.distance() {
+        ui.strong(format!("{} world units", text_of(distance)));
+    } else if measuring.active {
+        ui.weak("Click two points on surfaces.");
     }
 }

@@ -11,21 +11,17 @@ use crate::{Display, MAX_LAYERS, RenderOptions};
 const LARGEST_MODULATION: f64 = 200.0;
 
 pub fn title(state: &mut State, ui: &mut Ui) {
-    let mut asked = None;
     ui.horizontal_wrapped(|ui| {
         if ui.button("Open scene…").clicked() {
-            asked = Some(Purpose::OpenScene);
+            state.ask(ui.ctx(), Purpose::OpenScene);
         }
         if ui.button("Open run…").clicked() {
-            asked = Some(Purpose::OpenRun);
+            state.ask(ui.ctx(), Purpose::OpenRun);
         }
         if ui.button("Help").clicked() {
             state.help_open = true;
         }
     });
-    if let Some(purpose) = asked {
-        state.ask(ui.ctx(), purpose);
-    }
     if let Some(scene) = &state.scene {
         ui.add(egui::Label::new(egui::RichText::new(&scene.name).strong()).truncate());
         let [surfels, gaussians] = scene.counts;
