@@ -109,26 +109,38 @@ pub fn write_html(
     if !package_files.iter().any(|path| path.extension().is_some_and(|extension| extension == "wasm")) {
         return Err(HtmlError::ForeignPage { path: package, missing: "the WebAssembly file" });
     }
-    let mut writer = Writer { folder, files: Vec::new() };
-    fs::create_dir_all(folder).map_err(failed("cannot create", folder))?;
+    fs::create_dir_all(folder.join(PACKAGE)).map_err(failed("cannot create", folder))?;
     let canonical = |folder: &Path| folder.canonicalize().ok();
     if canonical(folder).is_some_and(|folder| canonical(page_folder) == Some(folder)) {
         return Err(HtmlError::SameFolder(folder.to_owned()));
     }
-    writer.copy(package_files.iter(), PACKAGE)?;
-    writer.copy(files_in(page_folder)?.iter().filter(|path| !path.ends_with(INDEX)), "")?;
-    if let Some(scene) = scene {
-        scene.save(&folder.join(SCENE))?;
-        writer.note(folder.join(SCENE))?;
+    let mut paths = Vec::new();
+    let mut write = |name: &Path, bytes: &[u8]| {
+        paths.push(folder.join(name));
+        write_atomically(&folder.join(name), |file| file.write_all(bytes))
+    };
+    let page_files = files_in(page_folder)?;
+    for path in package_files.iter().chain(page_files.iter().filter(|path| !path.ends_with(INDEX))) {
+        let bytes = fs::read(path).map_err(failed("cannot read", path))?;
+        write(path.strip_prefix(page_folder).unwrap_or(path), &bytes)?;
     }
     if let Some(poster) = page.poster_jpeg {
-        writer.write(POSTER, poster)?;
+        write(POSTER.as_ref(), poster)?;
     }
     // Without cameras too: an older file would be taken for this scene's.
     let cameras = CameraPath::new(page.cameras.to_vec(), false).map_or_else(|_| "[]".to_owned(), |path| path.to_json());
-    writer.write(CAMERAS, cameras.as_bytes())?;
-    writer.write(INDEX, index.as_bytes())?;
-    Ok(writer.files)
+    write(CAMERAS.as_ref(), cameras.as_bytes())?;
+    if let Some(scene) = scene {
+        scene.save(&folder.join(SCENE))?;
+        paths.push(folder.join(SCENE));
+    }
+    paths.push(folder.join(INDEX));
+    write_atomically(&folder.join(INDEX), |file| file.write_all(index.as_bytes()))?;
+    let written = |path: PathBuf| {
+        let bytes = fs::metadata(&path).map_err(failed("cannot read", &path))?.len();
+        Ok(WrittenFile { path, bytes })
+    };
+    paths.into_iter().map(written).collect()
 }
 
 /// The page's `index.html` with the names of the files, `scene` among them, and the title.
@@ -161,36 +173,6 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, HtmlError> {
 
 fn failed(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> HtmlError {
     move |source| HtmlError::Io { action, path: path.to_owned(), source }
-}
-
-struct Writer<'a> {
-    folder: &'a Path,
-    files: Vec<WrittenFile>,
-}
-
-impl Writer<'_> {
-    /// Copies files into the folder `to` of the page, which is created.
-    fn copy<'a>(&mut self, files: impl Iterator<Item = &'a PathBuf>, to: &str) -> Result<(), HtmlError> {
-        let folder = self.folder.join(to);
-        fs::create_dir_all(&folder).map_err(failed("cannot create", &folder))?;
-        for from in files {
-            let bytes = fs::read(from).map_err(failed("cannot read", from))?;
-            self.write(Path::new(to).join(from.file_name().unwrap_or_default()), &bytes)?;
-        }
-        Ok(())
-    }
-
-    fn write(&mut self, name: impl AsRef<Path>, bytes: &[u8]) -> Result<(), HtmlError> {
-        let path = self.folder.join(name);
-        write_atomically(&path, |file| file.write_all(bytes))?;
-        self.note(path)
-    }
-
-    fn note(&mut self, path: PathBuf) -> Result<(), HtmlError> {
-        let bytes = fs::metadata(&path).map_err(failed("cannot read", &path))?.len();
-        self.files.push(WrittenFile { path, bytes });
-        Ok(())
-    }
 }
 
 #[cfg(test)]

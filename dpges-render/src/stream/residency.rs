@@ -299,7 +299,9 @@ impl Residency {
     fn refine(&mut self, wanted: &[usize], orders: &mut Orders) -> bool {
         let mut complete = true;
         for &parent in wanted {
-            if self.states[parent] != State::Drawn || self.change_of(parent).is_some() || self.parent_changes(parent) {
+            let above = self.index.cells[parent].parent;
+            let is_changing = |cell| self.change_of(cell).is_some();
+            if self.states[parent] != State::Drawn || is_changing(parent) || above.is_some_and(is_changing) {
                 continue;
             }
             complete = false;
@@ -313,10 +315,6 @@ impl Residency {
             }
         }
         complete
-    }
-
-    fn parent_changes(&self, cell: usize) -> bool {
-        self.index.cells[cell].parent.is_some_and(|parent| self.change_of(parent).is_some())
     }
 
     fn missing(&self, cells: &[usize]) -> usize {

@@ -1,6 +1,7 @@
 //! The viewer: what happens from frame to frame.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use eframe::egui_wgpu::RenderState;
 use egui::{CentralPanel, Context, Frame, Id, Modal, Panel, Spinner, Ui, ViewportCommand};
@@ -8,7 +9,7 @@ use egui::{CentralPanel, Context, Frame, Id, Modal, Panel, Spinner, Ui, Viewport
 use super::dialogs::{Answer, Purpose};
 use super::keys::{Command, commands, show_help};
 use super::live::LiveScene;
-use super::loading::{Loader, Opened, Opener};
+use super::loading::{Opened, Opener};
 use super::measuring::Measuring;
 use super::messages::Message;
 use super::navigation::Mode;
@@ -25,7 +26,8 @@ use crate::RenderError;
 /// The viewer, for any window of egui.
 pub struct Viewer {
     pub(super) state: State,
-    loader: Loader,
+    /// The path that was asked for last, while it is read.
+    opening: Option<(PathBuf, Pending<Result<Opened, String>>)>,
     opener: Opener,
     recent: RecentFiles,
     typed_path: String,
@@ -46,7 +48,7 @@ impl Viewer {
         let recent = storage.and_then(|storage| eframe::get_value(storage, RecentFiles::KEY));
         let mut viewer = Self {
             state: State::new(gpu)?,
-            loader: Loader::default(),
+            opening: None,
             opener,
             recent: recent.unwrap_or_default(),
             typed_path: String::new(),
@@ -105,7 +107,7 @@ impl Viewer {
             self.state.picture(ui);
         } else if self.state.live.is_some() {
             waiting(ui, "The first picture of the scene is on its way.");
-        } else if let Some(path) = self.loader.path() {
+        } else if let Some((path, _)) = &self.opening {
             waiting(ui, &format!("Opening {}", path.display()));
         } else if let Some(choice) = start_page::show(ui, &self.recent, &mut self.typed_path) {
             match choice {
@@ -123,14 +125,16 @@ impl Viewer {
             self.may_close = true;
             context.send_viewport_cmd(ViewportCommand::Close);
         }
-        if let Some(loaded) = self.loader.poll() {
-            match loaded.result {
-                Ok(opened) => {
-                    self.recent.add(&loaded.path);
+        let failed = || Err("reading it failed unexpectedly".to_owned());
+        if let Some((path, pending)) = self.opening.take() {
+            match pending.poll(failed) {
+                None => self.opening = Some((path, pending)),
+                Some(Ok(opened)) => {
+                    self.recent.add(&path);
                     self.state.message = None;
-                    self.take(context, loaded.path.display().to_string(), opened);
+                    self.take(context, path.display().to_string(), opened);
                 }
-                Err(reason) => self.state.message = Some(Message::Error(reason)),
+                Some(Err(reason)) => self.state.message = Some(Message::Error(reason)),
             }
         }
         let failed = || Err("reading the dataset failed unexpectedly".to_owned());
@@ -162,7 +166,8 @@ impl Viewer {
             self.state.message = Some(Message::Note(text.to_owned()));
             return;
         }
-        self.loader.start(path, &self.opener, waker(context));
+        let (opener, opened) = (Arc::clone(&self.opener), path.clone());
+        self.opening = Some((path, Pending::start(move || opener(&opened), waker(context))));
     }
 
     fn use_file(&mut self, context: &Context, purpose: Purpose, file: PathBuf) {

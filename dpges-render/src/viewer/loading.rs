@@ -1,12 +1,11 @@
 //! Opening scenes without stopping the window.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 
-use super::pending::Pending;
 use super::views::{DatasetViews, Views};
 use crate::stream::{DEFAULT_BUDGET, Levels, is_lod};
 
@@ -54,57 +53,14 @@ pub fn open_scene(path: &Path) -> Result<Opened, String> {
     Ok(Opened::whole(scene, Views::None))
 }
 
-pub struct Loaded {
-    pub path: PathBuf,
-    pub result: Result<Opened, String>,
-}
-
-/// Opens one path at a time on a thread of its own; the last asked for counts.
-#[derive(Default)]
-pub struct Loader {
-    running: Option<(PathBuf, Pending<Result<Opened, String>>)>,
-}
-
-impl Loader {
-    /// Calls `wake` when it is done.
-    pub fn start(&mut self, path: PathBuf, opener: &Opener, wake: impl Fn() + Send + 'static) {
-        let (opener, opened) = (Arc::clone(opener), path.clone());
-        self.running = Some((path, Pending::start(move || opener(&opened), wake)));
-    }
-
-    pub fn path(&self) -> Option<&Path> {
-        self.running.as_ref().map(|(path, _)| path.as_path())
-    }
-
-    pub fn poll(&mut self) -> Option<Loaded> {
-        let (_, pending) = self.running.as_ref()?;
-        let result = pending.poll(|| Err("reading it failed unexpectedly".to_owned()))?;
-        let (path, _) = self.running.take()?;
-        Some(Loaded { path, result })
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc::{Receiver, channel};
-
     use dpges_core::scene::lod::CAMERAS;
 
     use super::*;
     use crate::fixtures::camera;
     use crate::path::CameraPath;
     use crate::stream::fixtures::{filled, forest, write};
-
-    fn wait(loader: &mut Loader, woken: &Receiver<()>) -> Loaded {
-        woken.recv().unwrap();
-        loader.poll().unwrap()
-    }
-
-    fn start(loader: &mut Loader, path: &str, opener: &Opener) -> Receiver<()> {
-        let (sender, receiver) = channel();
-        loader.start(path.into(), opener, move || sender.send(()).unwrap());
-        receiver
-    }
 
     #[test]
     fn errors_name_the_file() {
@@ -128,18 +84,5 @@ mod tests {
         let Views::Ready(views) = open_scene(folder.path()).unwrap().views else { panic!("there are two cameras") };
         let names: Vec<&str> = views.cameras.iter().map(|(name, _)| &**name).collect();
         assert_eq!(names, ["view 1", "view 2"]);
-    }
-
-    #[test]
-    fn the_last_path_counts() {
-        let mut loader = Loader::default();
-        let opener: Opener = Arc::new(|path| Err(path.display().to_string()));
-        let first = start(&mut loader, "first", &opener);
-        first.recv().unwrap();
-        let second = start(&mut loader, "second", &opener);
-        assert_eq!(loader.path(), Some(Path::new("second")));
-        let loaded = wait(&mut loader, &second);
-        assert_eq!(loaded.result.err().as_deref(), Some("second"));
-        assert!(loader.path().is_none() && loader.poll().is_none());
     }
 }

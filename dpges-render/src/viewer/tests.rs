@@ -113,6 +113,17 @@ fn the_start_page_says_what_to_do_and_opens_what_is_typed() {
 }
 
 #[test]
+fn the_last_path_counts() {
+    let mut harness = window(Start::Page, Arc::new(|path: &Path| Err(path.display().to_string())));
+    let context = harness.ctx.clone();
+    for path in ["first", "second"] {
+        harness.state_mut().open(&context, path.into());
+    }
+    wait(&mut harness, |viewer| viewer.state.message.is_some());
+    assert_eq!(harness.state().state.message, Some(Message::Error("second".to_owned())));
+}
+
+#[test]
 fn the_options_are_those_of_the_scene_until_the_panel_changes_them() {
     let mut harness = with_scene();
     let options = harness.state().state.options;
