@@ -218,13 +218,6 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_error_is_of_full_scale() {
-        let picture = |value| Rgb8Image { width: 2, height: 1, bytes: vec![value; 6] };
-        assert_eq!(mean_error(&picture(0), &picture(255)), 1.0);
-        assert_eq!(mean_error(&picture(7), &picture(7)), 0.0);
-    }
-
-    #[test]
     fn photograph_and_error_are_made_once() {
         let context = Context::default();
         let photograph = |view| (view < 2).then(|| Rgb8Image { width: 1, height: 1, bytes: vec![view as u8; 3] });

@@ -31,7 +31,7 @@ impl Opened {
             Views::None if !levels.cameras().is_empty() => {
                 let named = |(at, camera): (usize, &Camera)| (format!("view {}", at + 1), *camera);
                 let cameras = levels.cameras().iter().enumerate().map(named).collect();
-                Views::Ready(DatasetViews::without_photographs(cameras))
+                Views::Ready(DatasetViews { cameras, photograph: Box::new(|_| None) })
             }
             views => views,
         };

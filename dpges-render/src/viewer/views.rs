@@ -15,12 +15,6 @@ pub struct DatasetViews {
     pub photograph: Photograph,
 }
 
-impl DatasetViews {
-    pub fn without_photographs(cameras: Vec<(String, Camera)>) -> Self {
-        Self { cameras, photograph: Box::new(|_| None) }
-    }
-}
-
 pub enum Views {
     None,
     Ready(DatasetViews),

@@ -141,7 +141,7 @@ mod tests {
     fn up_is_what_cameras_agree_on() {
         let held = |eye: DVec3, up| {
             let pose = Pose::of(&CameraFromWorld::look_at(eye, DVec3::ZERO, up));
-            LENS.camera(&pose, [10, 10])
+            Viewpoint { pose, focus_distance: 1.0, lens: LENS }.camera([10, 10])
         };
         let from_above = [dvec3(1.0, 0.1, 0.9), dvec3(0.8, 0.6, 1.2), dvec3(0.0, 1.0, 0.7)];
         let cameras = from_above.map(|eye| held(eye, DVec3::Z));

@@ -3,9 +3,10 @@
 use std::f64::consts::PI;
 
 use dpges_core::camera::{Camera, CameraFromWorld};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 
 use super::motion::Motion;
+use crate::path::pose;
 
 /// The view stays this far from straight up and straight down, rad: there, turning has no direction.
 const POLE: f64 = 0.05;
@@ -38,11 +39,6 @@ impl Pose {
         self.world_from_camera * DVec3::Z
     }
 
-    pub fn camera_from_world(&self) -> CameraFromWorld {
-        let rotation = DMat3::from_quat(self.world_from_camera).transpose();
-        CameraFromWorld { rotation, translation: -(rotation * self.eye) }
-    }
-
     /// Turned by `yaw` to the right about `up`, and by `pitch` downwards, rad.
     fn turned(&self, yaw: f64, pitch: f64, up: DVec3) -> DQuat {
         let from_up = self.forward().angle_between(up);
@@ -71,15 +67,6 @@ impl Lens {
     pub fn height_at_one(&self) -> f64 {
         2.0 * (0.5 * self.vertical_field_of_view).tan()
     }
-
-    /// The camera at `pose` for a picture of `size` (width, height) px.
-    pub fn camera(&self, pose: &Pose, size: [usize; 2]) -> Camera {
-        let [width, height] = size;
-        let focal = height as f64 / self.height_at_one();
-        let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-        let camera_from_world = pose.camera_from_world();
-        Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near: self.near, lens: None }
-    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,8 +90,12 @@ impl Viewpoint {
         self.pose.eye + self.focus_distance * self.pose.forward()
     }
 
-    pub fn camera(&self, size: [usize; 2]) -> Camera {
-        self.lens.camera(&self.pose, size)
+    /// The camera for a picture of this size, px.
+    pub fn camera(&self, [width, height]: [usize; 2]) -> Camera {
+        let focal = height as f64 / self.lens.height_at_one();
+        let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
+        let camera_from_world = pose(self.pose.eye, self.pose.world_from_camera);
+        Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near: self.lens.near, lens: None }
     }
 
     #[must_use]
