@@ -3,7 +3,6 @@
 use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::scene::SceneData;
 use dpges_render::{RenderOptions, Renderer};
-use eframe::egui_wgpu::RenderState;
 use eframe::{egui, wgpu};
 use glam::DVec3;
 
@@ -12,7 +11,6 @@ const SIZE: usize = 600;
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 
 struct Turntable {
-    gpu: RenderState,
     renderer: Renderer,
     options: RenderOptions,
     view: wgpu::TextureView,
@@ -28,9 +26,7 @@ impl eframe::App for Turntable {
         let (f, c) = (SIZE as f64, 0.5 * SIZE as f64);
         let camera =
             Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: SIZE, height: SIZE, near: 0.01, lens: None };
-        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-        self.renderer.render(&mut encoder, &self.view, &camera, &self.options).expect("there is a scene");
-        self.gpu.queue.submit([encoder.finish()]);
+        self.renderer.submit(&self.view, &camera, &self.options).expect("there is a scene");
         self.renderer.finish_frame();
         ui.image((self.picture, egui::Vec2::splat(SIZE as f32)));
     }
@@ -56,7 +52,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let view = texture.create_view(&Default::default());
         let picture = gpu.renderer.write().register_native_texture(&gpu.device, &view, wgpu::FilterMode::Linear);
         let options = RenderOptions::from(&scene.info);
-        Ok(Box::new(Turntable { gpu, renderer, options, view, picture, angle: 0.0 }))
+        Ok(Box::new(Turntable { renderer, options, view, picture, angle: 0.0 }))
     };
     Ok(eframe::run_native("embedded", Default::default(), Box::new(create))?)
 }

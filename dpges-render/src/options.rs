@@ -16,7 +16,6 @@ pub enum Precision {
     Half,
 }
 
-/// Where the depths of surfels come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DepthSource {
     /// The rasteriser interpolates them between corners. Hidden fragments need not be shaded.

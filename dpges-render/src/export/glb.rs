@@ -104,12 +104,10 @@ impl GlbBuilder {
     }
 }
 
-/// Pads to a multiple of 4 bytes.
 fn pad(bytes: &mut Vec<u8>, with: u8) {
     bytes.resize(bytes.len().next_multiple_of(4), with);
 }
 
-/// The JSON and the binary part of a file.
 #[cfg(test)]
 pub fn parts(bytes: &[u8]) -> (Value, &[u8]) {
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());

@@ -81,7 +81,6 @@ impl Default for Comparing {
 }
 
 impl Comparing {
-    /// Forgets the pictures of another dataset.
     pub fn forget(&mut self) {
         self.photograph = None;
         self.error = None;

@@ -1,6 +1,5 @@
 //! Pictures of the scene as files.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use dpges_core::scene::atomic::write_atomically;
@@ -32,11 +31,9 @@ pub fn unused(path: &Path) -> PathBuf {
 
 pub fn save_png(picture: &Rgb8Image, path: &Path) -> dpges_core::Result<()> {
     write_atomically(path, |file| {
-        let mut encoded = Vec::new();
-        PngEncoder::new(&mut encoded)
+        PngEncoder::new(file)
             .write_image(&picture.bytes, picture.width as u32, picture.height as u32, ExtendedColorType::Rgb8)
-            .map_err(std::io::Error::other)?;
-        file.write_all(&encoded)
+            .map_err(std::io::Error::other)
     })
 }
 

@@ -31,6 +31,11 @@ impl FusionOptions {
     pub fn new(voxel: f64) -> Self {
         Self { voxel, truncation_voxels: 4.0, farthest: f64::INFINITY, max_voxels: 32 << 20 }
     }
+
+    /// World units.
+    fn truncation(&self) -> f64 {
+        self.truncation_voxels * self.voxel
+    }
 }
 
 /// Surfels from one camera, in the coordinates of the scene.
@@ -69,16 +74,15 @@ impl Fusion {
     pub fn add(&mut self, view: &DepthView<'_>) -> Result<(), ExportError> {
         view.check()?;
         self.views += 1;
-        let view =
-            Sight { view, options: &self.options, truncation: self.options.truncation_voxels * self.options.voxel };
+        let options = &self.options;
         let keys: Vec<BlockKey> =
-            view.blocks().into_iter().filter(|key| !self.field.places.contains_key(key)).collect();
-        if (self.field.blocks.len() + keys.len()) * BLOCK_LEN > self.options.max_voxels {
-            let FusionOptions { voxel, max_voxels, .. } = self.options;
+            view.blocks(options).into_iter().filter(|key| !self.field.places.contains_key(key)).collect();
+        if (self.field.blocks.len() + keys.len()) * BLOCK_LEN > options.max_voxels {
+            let FusionOptions { voxel, max_voxels, .. } = *options;
             return Err(ExportError::TooManyVoxels { voxel, views: self.views, limit: max_voxels });
         }
         keys.into_iter().for_each(|key| self.field.insert(key));
-        self.field.blocks.par_iter_mut().for_each(|block| view.fuse(block));
+        self.field.blocks.par_iter_mut().for_each(|block| view.fuse(options, block));
         Ok(())
     }
 
@@ -107,27 +111,18 @@ impl DepthView<'_> {
         let depth = self.depth[pixel];
         (self.coverage[pixel] >= MIN_COVERAGE && depth > 0.0 && depth.is_finite()).then(|| f64::from(depth))
     }
-}
 
-struct Sight<'a> {
-    view: &'a DepthView<'a>,
-    options: &'a FusionOptions,
-    /// World units.
-    truncation: f64,
-}
-
-impl Sight<'_> {
     /// Blocks within the truncation of a surface, in order.
-    fn blocks(&self) -> BTreeSet<BlockKey> {
-        let camera = self.view.camera;
-        let (eye, side) = (camera.centre(), f64::from(BLOCK) * self.options.voxel);
+    fn blocks(&self, options: &FusionOptions) -> BTreeSet<BlockKey> {
+        let camera = self.camera;
+        let (eye, side) = (camera.centre(), f64::from(BLOCK) * options.voxel);
         let row = |y: usize| {
             let mut keys = BTreeSet::new();
             for x in 0..camera.width {
-                let Some(depth) = self.view.at(x, y).filter(|&depth| depth <= self.options.farthest) else { continue };
+                let Some(depth) = self.at(x, y).filter(|&depth| depth <= options.farthest) else { continue };
                 let point = camera.unproject(x as f64 + 0.5, y as f64 + 0.5, depth);
-                let along = (point - eye).normalize() * self.options.voxel;
-                let reach = self.options.truncation_voxels.ceil() as i32;
+                let along = (point - eye).normalize() * options.voxel;
+                let reach = options.truncation_voxels.ceil() as i32;
                 for step in -reach..=reach {
                     let sample = (point + f64::from(step) * along) / side;
                     keys.insert(sample.to_array().map(|x| x.floor() as i32));
@@ -142,8 +137,8 @@ impl Sight<'_> {
     }
 
     /// Takes what this view knows into all voxels of a block.
-    fn fuse(&self, block: &mut Block) {
-        let (camera, voxel) = (self.view.camera, self.options.voxel);
+    fn fuse(&self, options: &FusionOptions, block: &mut Block) {
+        let (camera, voxel) = (self.camera, options.voxel);
         let first = block.key.map(|i| f64::from(i * BLOCK));
         let half = 0.5 * f64::from(BLOCK - 1);
         let centre = DVec3::from_array(first.map(|i| (i + half) * voxel));
@@ -155,9 +150,9 @@ impl Sight<'_> {
             let at = at as i32;
             let local = [at % BLOCK, at / BLOCK % BLOCK, at / (BLOCK * BLOCK)];
             let point = DVec3::from_array(std::array::from_fn(|axis| (first[axis] + f64::from(local[axis])) * voxel));
-            if let Some((distance, pixel)) = self.distance(point) {
+            if let Some((distance, pixel)) = self.distance(options, point) {
                 let pixels = camera.width * camera.height;
-                let colour = std::array::from_fn(|channel| self.view.colour[channel * pixels + pixel]);
+                let colour = std::array::from_fn(|channel| self.colour[channel * pixels + pixel]);
                 known.add(distance as f32, colour);
             }
         }
@@ -165,33 +160,30 @@ impl Sight<'_> {
 
     /// Truncated distance of a point from the surface along its ray, in units of the truncation, and the nearest pixel.
     /// `None` where the view knows nothing: outside it, where it has no depth, and far behind the surface.
-    fn distance(&self, point: DVec3) -> Option<(f64, usize)> {
-        let camera = self.view.camera;
+    fn distance(&self, options: &FusionOptions, point: DVec3) -> Option<(f64, usize)> {
+        let camera = self.camera;
         let (x, y, z) = camera.project(point)?;
         if !(0.0..camera.width as f64).contains(&x) || !(0.0..camera.height as f64).contains(&y) {
             return None;
         }
         let (column, row) = (x as usize, y as usize);
-        let nearest = self.view.at(column, row)?;
-        if nearest > self.options.farthest {
-            return None;
-        }
-        let depth = self.interpolated(x, y, nearest);
+        let nearest = self.at(column, row).filter(|&depth| depth <= options.farthest)?;
+        let depth = self.interpolated(x, y, nearest, options.truncation());
         let per_depth = (point - camera.centre()).length() / z;
-        let distance = (depth - z) * per_depth / self.truncation;
+        let distance = (depth - z) * per_depth / options.truncation();
         (distance >= -1.0).then(|| (distance.min(1.0), row * camera.width + column))
     }
 
     /// Depth between pixel centres: 1 / depth is linear on a plane. That of the `nearest` pixel at the border of the
     /// view, and where its neighbours belong to another surface.
-    fn interpolated(&self, x: f64, y: f64, nearest: f64) -> f64 {
-        let camera = self.view.camera;
+    fn interpolated(&self, x: f64, y: f64, nearest: f64, truncation: f64) -> f64 {
+        let camera = self.camera;
         let ([left, right], [top, bottom]) = (neighbours(x, camera.width), neighbours(y, camera.height));
         let mut inverse = 0.0;
         for (row, share_y) in [top, bottom] {
             for (column, share_x) in [left, right] {
-                match self.view.at(column, row) {
-                    Some(depth) if (depth - nearest).abs() < self.truncation => inverse += share_x * share_y / depth,
+                match self.at(column, row) {
+                    Some(depth) if (depth - nearest).abs() < truncation => inverse += share_x * share_y / depth,
                     _ => return nearest,
                 }
             }
