@@ -115,32 +115,33 @@ pub fn write_html(
         return Err(HtmlError::SameFolder(folder.to_owned()));
     }
     let mut paths = Vec::new();
-    let mut write = |name: &Path, bytes: &[u8]| {
-        paths.push(folder.join(name));
-        write_atomically(&folder.join(name), |file| file.write_all(bytes))
-    };
     let page_files = files_in(page_folder)?;
     for path in package_files.iter().chain(page_files.iter().filter(|path| !path.ends_with(INDEX))) {
         let bytes = fs::read(path).map_err(failed("cannot read", path))?;
-        write(path.strip_prefix(page_folder).unwrap_or(path), &bytes)?;
+        write(&mut paths, folder.join(path.strip_prefix(page_folder).unwrap_or(path)), &bytes)?;
     }
-    if let Some(poster) = page.poster_jpeg {
-        write(POSTER.as_ref(), poster)?;
-    }
-    // Without cameras too: an older file would be taken for this scene's.
-    let cameras = CameraPath::new(page.cameras.to_vec(), false).map_or_else(|_| "[]".to_owned(), |path| path.to_json());
-    write(CAMERAS.as_ref(), cameras.as_bytes())?;
     if let Some(scene) = scene {
         scene.save(&folder.join(SCENE))?;
         paths.push(folder.join(SCENE));
     }
-    paths.push(folder.join(INDEX));
-    write_atomically(&folder.join(INDEX), |file| file.write_all(index.as_bytes()))?;
+    if let Some(poster) = page.poster_jpeg {
+        write(&mut paths, folder.join(POSTER), poster)?;
+    }
+    // Without cameras too: an older file would be taken for this scene's.
+    let cameras = CameraPath::new(page.cameras.to_vec(), false).map_or_else(|_| "[]".to_owned(), |path| path.to_json());
+    write(&mut paths, folder.join(CAMERAS), cameras.as_bytes())?;
+    write(&mut paths, folder.join(INDEX), index.as_bytes())?;
     let written = |path: PathBuf| {
         let bytes = fs::metadata(&path).map_err(failed("cannot read", &path))?.len();
         Ok(WrittenFile { path, bytes })
     };
     paths.into_iter().map(written).collect()
+}
+
+fn write(paths: &mut Vec<PathBuf>, path: PathBuf, bytes: &[u8]) -> Result<(), HtmlError> {
+    write_atomically(&path, |file| file.write_all(bytes))?;
+    paths.push(path);
+    Ok(())
 }
 
 /// The page's `index.html` with the names of the files, `scene` among them, and the title.
