@@ -17,6 +17,7 @@ use crate::texture::{size, texture};
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrameTimes {
     pub frames: usize,
+    /// 1000 / mean time
     pub frames_per_second: f64,
     pub p50_ms: f64,
     pub p99_ms: f64,

@@ -80,28 +80,20 @@ fn converted(input: &str, bytes: &[u8], output: &str) -> (tempfile::TempDir, Pat
 
 #[test]
 #[ignore = "needs the npm package @playcanvas/splat-transform, see the head of its file"]
-fn it_reads_our_ply_exactly() {
+fn it_reads_our_ply_exactly_and_our_spz_within_the_steps_of_the_format() {
+    let steps = [1e-5, 0.04, 0.003, 0.02, 0.07, 1e-5];
     for degree in [0, 3] {
         let cloud = sample(40, degree);
-        let (_folder, output) = converted("scene.ply", &to_ply(&cloud, UpAxis::MinusY), "scene.csv");
-        let found = differences(&table(&output), &cloud);
-        println!("PLY, degree {degree}: {found:?}");
-        assert!(found.iter().all(|&difference| difference < 1e-5), "{found:?}");
-    }
-}
-
-#[test]
-#[ignore = "needs the npm package @playcanvas/splat-transform, see the head of its file"]
-fn it_reads_our_spz_within_the_steps_of_the_format() {
-    for version in [SpzVersion::Three, SpzVersion::Four] {
-        for degree in [0, 3] {
-            let cloud = sample(40, degree);
-            let bytes = to_spz(&cloud, UpAxis::MinusY, version).unwrap();
-            let (_folder, output) = converted("scene.spz", &bytes, "scene.csv");
+        let spz = |version| to_spz(&cloud, UpAxis::MinusY, version).unwrap();
+        for (input, bytes, largest) in [
+            ("scene.ply", to_ply(&cloud, UpAxis::MinusY), [1e-5; 6]),
+            ("scene.spz", spz(SpzVersion::Three), steps),
+            ("scene.spz", spz(SpzVersion::Four), steps),
+        ] {
+            let (_folder, output) = converted(input, &bytes, "scene.csv");
             let found = differences(&table(&output), &cloud);
-            println!("SPZ {version:?}, degree {degree}: {found:?}");
-            let steps = [1e-5, 0.04, 0.003, 0.02, 0.07, 1e-5];
-            assert!(found.iter().zip(steps).all(|(difference, step)| *difference < step), "{found:?}");
+            println!("{input}, degree {degree}: {found:?}");
+            assert!(found.iter().zip(largest).all(|(difference, largest)| *difference < largest), "{found:?}");
         }
     }
 }

@@ -20,7 +20,9 @@ pub(crate) enum Depth {
     None,
     /// The nearest stays. The first drawn wins a tie.
     Nearest,
+    /// Written without a test.
     Write,
+    /// Tested, not written.
     Test,
 }
 
@@ -31,6 +33,7 @@ pub(crate) struct Stage<'a> {
     pub vertex: &'a str,
     pub fragment: &'a str,
     pub targets: &'a [Target],
+    /// Whether colours are written.
     pub writes: bool,
     pub depth: Depth,
     /// A strip of two triangles rather than one triangle.

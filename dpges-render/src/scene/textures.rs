@@ -9,6 +9,7 @@ use super::packing::Shapes;
 use crate::error::{RenderError, Result};
 use crate::texture;
 
+/// Widest grid, px.
 const WIDEST: u32 = 8192;
 
 /// How texels that belong to primitives are laid out in a texture.

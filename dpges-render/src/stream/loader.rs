@@ -51,6 +51,7 @@ pub struct Loader {
     asked: Sender<usize>,
     ended: Receiver<Outcome>,
     opened: Instant,
+    /// Time that was skipped, s.
     skipped: f64,
 }
 

@@ -52,6 +52,7 @@ enum State {
 struct Change {
     parent: usize,
     refines: bool,
+    /// When the fade began, s.
     begun: Option<f64>,
 }
 

@@ -14,6 +14,7 @@ use crate::path::CameraPath;
 /// Longest wait for a server to answer a request, and for all of an answer.
 #[cfg(feature = "http")]
 const PATIENCE: [Duration; 2] = [Duration::from_secs(20), Duration::from_secs(300)];
+/// Largest index that is read, bytes.
 #[cfg(feature = "http")]
 const LARGEST_INDEX: u64 = 1 << 28;
 

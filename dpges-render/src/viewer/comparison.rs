@@ -6,6 +6,7 @@ use egui::{Color32, ColorImage, Context, Painter, Pos2, Rect, Sense, Stroke, Tex
 use super::views::DatasetViews;
 use crate::{RenderOptions, Rgb8Image, false_colour};
 
+/// Points between two pictures.
 const GAP: f32 = 2.0;
 /// Width of the part of the divider that can be caught, points.
 const HANDLE: f32 = 14.0;
@@ -117,6 +118,7 @@ impl Comparing {
         Ok(())
     }
 
+    /// Mean absolute error of what is shown, of full scale 1.
     pub fn mean_error(&self) -> Option<f64> {
         self.error.as_ref().map(|error| error.mean)
     }

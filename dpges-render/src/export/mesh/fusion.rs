@@ -11,6 +11,8 @@ use super::TriangleMesh;
 use super::field::{BLOCK, BLOCK_LEN, Block, BlockKey, Field};
 use super::surface::extract;
 
+/// Distances from a surface end here, voxels. At least 2; noise of the depths asks for more.
+const TRUNCATION_VOXELS: f64 = 4.0;
 /// Pixels that surfels cover less have no depth.
 const MIN_COVERAGE: f32 = 0.5;
 
@@ -18,8 +20,6 @@ const MIN_COVERAGE: f32 = 0.5;
 pub struct FusionOptions {
     /// Distance between lattice points, world units.
     pub voxel: f64,
-    /// Distances from a surface end here, voxels. At least 2; noise of the depths asks for more.
-    pub truncation_voxels: f64,
     /// Depths beyond are not fused, world units.
     pub farthest: f64,
     /// Voxels that the memory may be filled with, 20 bytes each.
@@ -27,14 +27,9 @@ pub struct FusionOptions {
 }
 
 impl FusionOptions {
-    /// Voxels of `voxel` world units, truncation after 4 of them, all depths, 640 MB.
+    /// Voxels of `voxel` world units, all depths, 640 MB.
     pub fn new(voxel: f64) -> Self {
-        Self { voxel, truncation_voxels: 4.0, farthest: f64::INFINITY, max_voxels: 32 << 20 }
-    }
-
-    /// World units.
-    fn truncation(&self) -> f64 {
-        self.truncation_voxels * self.voxel
+        Self { voxel, farthest: f64::INFINITY, max_voxels: 32 << 20 }
     }
 }
 
@@ -122,7 +117,7 @@ impl DepthView<'_> {
                 let Some(depth) = self.at(x, y).filter(|&depth| depth <= options.farthest) else { continue };
                 let point = camera.unproject(x as f64 + 0.5, y as f64 + 0.5, depth);
                 let along = (point - eye).normalize() * options.voxel;
-                let reach = options.truncation_voxels.ceil() as i32;
+                let reach = TRUNCATION_VOXELS.ceil() as i32;
                 for step in -reach..=reach {
                     let sample = (point + f64::from(step) * along) / side;
                     keys.insert(sample.to_array().map(|x| x.floor() as i32));
@@ -166,11 +161,11 @@ impl DepthView<'_> {
         if !(0.0..camera.width as f64).contains(&x) || !(0.0..camera.height as f64).contains(&y) {
             return None;
         }
-        let (column, row) = (x as usize, y as usize);
+        let (column, row, truncation) = (x as usize, y as usize, TRUNCATION_VOXELS * options.voxel);
         let nearest = self.at(column, row).filter(|&depth| depth <= options.farthest)?;
-        let depth = self.interpolated(x, y, nearest, options.truncation());
+        let depth = self.interpolated(x, y, nearest, truncation);
         let per_depth = (point - camera.centre()).length() / z;
-        let distance = (depth - z) * per_depth / options.truncation();
+        let distance = (depth - z) * per_depth / truncation;
         (distance >= -1.0).then(|| (distance.min(1.0), row * camera.width + column))
     }
 

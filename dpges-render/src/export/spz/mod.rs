@@ -43,6 +43,7 @@ const ZSTD_LEVEL: i32 = 12;
 pub enum SpzVersion {
     /// gzip; what most readers understand.
     Three,
+    /// Zstandard.
     #[default]
     Four,
 }

@@ -4,6 +4,7 @@ use egui::{ScrollArea, Ui};
 
 use super::super::state::State;
 
+/// Height of the list, points.
 const HEIGHT: f32 = 130.0;
 
 pub fn show(state: &mut State, ui: &mut Ui) {

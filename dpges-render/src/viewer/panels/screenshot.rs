@@ -7,6 +7,7 @@ use egui::{DragValue, TextEdit, Ui};
 use super::super::dialogs::Purpose;
 use super::super::state::State;
 
+/// Size that is offered first, px.
 const FULL_HD: [usize; 2] = [1920, 1080];
 
 pub fn show(state: &mut State, ui: &mut Ui) {
