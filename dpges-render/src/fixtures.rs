@@ -11,17 +11,8 @@ pub fn camera(eye: [f64; 3], focal_px: f64) -> Camera {
 
 /// The principal point is in the middle.
 pub fn pinhole(camera_from_world: CameraFromWorld, focal_px: f64, [width, height]: [usize; 2]) -> Camera {
-    Camera {
-        camera_from_world,
-        fx: focal_px,
-        fy: focal_px,
-        cx: 0.5 * width as f64,
-        cy: 0.5 * height as f64,
-        width,
-        height,
-        near: 0.01,
-        lens: None,
-    }
+    let [cx, cy] = [width, height].map(|px| 0.5 * px as f64);
+    Camera { camera_from_world, fx: focal_px, fy: focal_px, cx, cy, width, height, near: 0.01, lens: None }
 }
 
 /// Unit vectors, spread evenly over the sphere.

@@ -56,21 +56,13 @@ impl Golden {
         let metadata = header.metadata().clone().unwrap();
         let file = SafeTensors::deserialize(&bytes).unwrap();
         let number = |key: &str| metadata[key].parse::<f64>().unwrap();
-        let lens = numbers(&file, "camera.intrinsics");
-        let camera = Camera {
-            camera_from_world: CameraFromWorld {
-                rotation: DMat3::from_cols_slice(&numbers(&file, "camera.rotation")).transpose(),
-                translation: DVec3::from_slice(&numbers(&file, "camera.translation")),
-            },
-            fx: lens[0],
-            fy: lens[1],
-            cx: lens[2],
-            cy: lens[3],
-            width: number("width") as usize,
-            height: number("height") as usize,
-            near: number("near"),
-            lens: None,
+        let [fx, fy, cx, cy] = numbers(&file, "camera.intrinsics").try_into().unwrap();
+        let [width, height] = ["width", "height"].map(|key| number(key) as usize);
+        let camera_from_world = CameraFromWorld {
+            rotation: DMat3::from_cols_slice(&numbers(&file, "camera.rotation")).transpose(),
+            translation: DVec3::from_slice(&numbers(&file, "camera.translation")),
         };
+        let camera = Camera { camera_from_world, fx, fy, cx, cy, width, height, near: number("near"), lens: None };
         let lobes = file.tensor("gaussians.colour.lobes").unwrap().shape()[1];
         let model = ColourModel::SphericalBeta { lobes };
         let read = |attribute: &'static Attribute| {
