@@ -67,6 +67,10 @@ impl LodScene {
         Ok(Self { index, coarse, roots })
     }
 
+    pub fn index(&self) -> &Index {
+        &self.index
+    }
+
     pub fn coarse(&self) -> &SceneData {
         &self.coarse
     }
