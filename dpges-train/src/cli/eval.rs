@@ -9,7 +9,7 @@ use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::eval::pictures::{file_stems, save_png};
 use dpges_train::eval::popping::{Measured, arc};
 use dpges_train::eval::rendered::{Renderer, to_picture};
-use dpges_train::eval::worst::{self, WorstView};
+use dpges_train::eval::worst;
 use dpges_train::eval::{EvalReport, FrameMs, Measures, evaluate_each};
 
 use super::data::{Scene, ViewArgs};
@@ -80,8 +80,8 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     }
     let stems = file_stems(views);
     let renderer = Renderer::new(&scene.data, &device);
-    let measures =
-        Measures::perceptual(&networks).fitted(args.fit_exposure || scene.has_exposure()).posed(args.fit_poses);
+    let fitted = args.fit_exposure || scene.has_exposure();
+    let measures = Measures { fitted, posed: args.fit_poses, ..Measures::perceptual(&networks) };
     let evaluation = evaluate_each(&renderer, &scene.data, views, &device, measures, |index, render| {
         let Some(folder) = &args.save_images else { return Ok(()) };
         save_png(&to_picture(render.image()), &folder.join(format!("{}.png", stems[index])))
@@ -92,7 +92,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     };
     let mut worst = Vec::new();
     if let Some(folder) = &args.worst {
-        worst.extend(worst::write(folder, &evaluation, views, &renderer)?.iter().map(WorstView::to_string));
+        worst.extend(worst::write(folder, &evaluation, views, &renderer)?);
         for frame in popping.iter().flat_map(|measured| &measured.worst) {
             worst.push(format!("{frame}, {}", frame.save(folder)?.display()));
         }

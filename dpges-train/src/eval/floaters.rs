@@ -24,7 +24,6 @@ const HIDES: f32 = 0.1;
 /// Least number of views that a floating primitive blocks.
 const BLOCKED_VIEWS: u32 = 2;
 
-/// How many views every primitive blocks and supports.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Visibility {
     pub surfels: Vec<Votes>,
@@ -34,15 +33,12 @@ pub struct Visibility {
 /// The votes of the views on one primitive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Votes {
-    /// Number of views that it blocks.
     pub blocked: u32,
-    /// Number of views that it supports.
     pub supported: u32,
     /// Whether it is in the empty space around a camera.
     pub is_close: bool,
 }
 
-/// Numbers of primitives that float.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Floaters {
     pub surfels: usize,
@@ -59,9 +55,6 @@ impl Votes {
 impl Visibility {
     /// Votes of the training views on `surfels` and `gaussians`; `None` if the dataset does not say which view saw
     /// what.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error`] if the primitives cannot be rendered.
     pub fn measure(
         surfels: &Surfels,
         gaussians: &Gaussians,
@@ -172,9 +165,9 @@ fn observe_surfels(all_votes: &mut [Votes], layers: &Layers, depths: &[f32]) {
 mod tests {
     use super::*;
     use crate::dataset::{BuiltinOptions, Tracks, View, builtin};
-    use crate::device::DeviceName;
+    use crate::run::fixtures::device;
     use dpges_core::camera::CameraFromWorld;
-    use dpges_core::scene::{ColourData, GaussianData, SurfelData};
+    use dpges_core::scene::{ColourModel, GaussianData, SurfelData};
     use glam::DVec3;
 
     /// Three cameras before the origin that look at it, all of which saw one point there, or only the first.
@@ -196,26 +189,17 @@ mod tests {
     const TOWARDS_CAMERAS: [f32; 4] = [0.0, -0.3, -1.9, 1.0];
 
     fn all_votes(dataset: &Dataset) -> Option<Visibility> {
-        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let device = device();
         let positions: Vec<f32> = TOWARDS_CAMERAS.iter().flat_map(|&z| [0.0, 0.0, z]).collect();
-        let count = TOWARDS_CAMERAS.len();
-        let colour = ColourData { base: vec![0.0; 3 * count], ..ColourData::default() };
-        let quaternions = [1.0, 0.0, 0.0, 0.0].repeat(count);
-        let gaussians = GaussianData {
-            positions: positions.clone(),
-            quaternions: quaternions.clone(),
-            log_scales: vec![0.4f32.ln(); 3 * count],
-            opacities: vec![0.8; count],
-            colour: colour.clone(),
-            ..GaussianData::default()
-        };
-        let surfels = SurfelData {
-            positions,
-            quaternions,
-            log_scales: vec![0.2f32.ln(); 2 * count],
-            colour,
-            margins: vec![0.1; count],
-        };
+        let (count, model) = (TOWARDS_CAMERAS.len(), ColourModel::SphericalBeta { lobes: 0 });
+        let mut gaussians = GaussianData::neutral(model, count);
+        gaussians.positions = positions.clone();
+        gaussians.log_scales.fill(0.4f32.ln());
+        gaussians.opacities.fill(0.8);
+        let mut surfels = SurfelData::neutral(model, count);
+        surfels.positions = positions;
+        surfels.log_scales.fill(0.2f32.ln());
+        surfels.margins.fill(0.1);
         let surfels = Surfels::from_data(&surfels, &device, DType::F32);
         let gaussians = Gaussians::from_data(&gaussians, &device, DType::F32);
         Visibility::measure(&surfels, &gaussians, &PeelOptions::default(), dataset).unwrap()

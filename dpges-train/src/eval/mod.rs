@@ -38,27 +38,22 @@ use crate::dataset::{Picture, View, pictures};
 use crate::eval::floaters::Floaters;
 use crate::eval::popping::Popping;
 use crate::eval::rendered::{Rendered, Renderer};
-use crate::metrics::lpips::{Lpips, Network};
-use crate::metrics::{Fitted, OF_IGNORED_PIXELS, Perceptual, Scores, flip, flip_map, mean_ssim, psnr, quantised};
+use crate::metrics::lpips::Lpips;
+use crate::metrics::{
+    Fitted, OF_IGNORED_PIXELS, Perceptual, Scores, flip, flip_map, mean_ssim, ms_ssim, psnr, quantised, ssimulacra2,
+};
 use fits::{fitted, posed};
 pub use frame_ms::FrameMs;
 
 /// PSNR of a picture that is equal to its photograph, dB. The true value, infinity, has no place in JSON or in a mean.
 pub const LARGEST_PSNR: f64 = 100.0;
 
-/// The scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScore {
     pub name: String,
-    /// dB, at most [`LARGEST_PSNR`].
-    pub psnr: f64,
-    pub ssim: f64,
-    /// An error, from 0 to 1.
-    pub flip: f64,
+    /// PSNR is at most [`LARGEST_PSNR`].
     #[serde(flatten)]
-    pub perceptual: Perceptual,
-    #[serde(flatten)]
-    pub fitted: Fitted,
+    pub scores: Scores,
     /// Time to render it.
     pub seconds: f64,
     /// px
@@ -100,15 +95,12 @@ pub struct EvalReport {
     pub split: String,
     #[serde(flatten)]
     pub evaluation: Evaluation,
-    /// Size of the scene file.
     pub bytes: u64,
     /// Primitives that float, see [`floaters`]; absent if the dataset does not say which view saw what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
-    /// Wall-clock time of the run up to its last step, see [`MetricsLog::seconds_of_steps`]; absent if the scene is not that
-    /// of a run.
-    ///
-    /// [`MetricsLog::seconds_of_steps`]: crate::run::metrics_log::MetricsLog::seconds_of_steps
+    /// Wall-clock time of the run [up to its last step](crate::run::metrics_log::MetricsLog::seconds_of_steps); absent if the
+    /// scene is not that of a run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub training_seconds: Option<f64>,
     /// The most memory of the process that wrote the report, bytes: [since the run began](crate::device::memory::PeakMemory) if one did,
@@ -159,28 +151,8 @@ impl<'a> Measures<'a> {
         Self { perceptual: true, ..Self::lpips(networks) }
     }
 
-    /// LPIPS by `networks`.
     pub fn lpips(networks: &'a [Lpips]) -> Self {
         Self { networks, ..Self::BASIC }
-    }
-
-    /// The same, and a fit of exposure if it is wanted.
-    #[must_use]
-    pub fn fitted(self, fitted: bool) -> Self {
-        Self { fitted, ..self }
-    }
-
-    /// The same, and a fit of cameras if it is wanted.
-    #[must_use]
-    pub fn posed(self, posed: bool) -> Self {
-        Self { posed, ..self }
-    }
-}
-
-impl ViewScore {
-    pub fn scores(&self) -> Scores {
-        let Self { psnr, ssim, flip, perceptual, fitted, .. } = *self;
-        Scores { psnr, ssim, flip, perceptual, fitted }
     }
 }
 
@@ -207,9 +179,6 @@ pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Ev
 
 /// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Views are dealt out to the ranks, which all
 /// get the result. Calls `visit` with the index and the render of every view of this rank.
-///
-/// # Errors
-/// The errors of [`evaluate`] and of `visit`.
 pub fn evaluate_each<E: From<Error>>(
     renderer: &Renderer,
     scene: &SceneData,
@@ -238,25 +207,29 @@ pub fn evaluate_each<E: From<Error>>(
         let picture = picture?;
         let mut score = score(&view.name, &picture, render.image().clone(), seconds, device, measures)?;
         if measures.posed {
-            [score.fitted.psnr_posed, score.fitted.ssim_posed] =
+            [score.scores.fitted.psnr_posed, score.scores.fitted.ssim_posed] =
                 posed(renderer, view, &picture, scene.info.extent, device, measures.fitted)?;
         }
         own.push(score);
         visit(index, &render)?;
     }
-    let scores = of_all_ranks(own, views.len(), job)?;
-    let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
+    let views = of_all_ranks(own, views.len(), job)?;
+    let Scores { psnr, ssim, flip, perceptual, fitted } = mean_scores(&views);
     Ok(Evaluation {
-        psnr: mean(|view| view.psnr),
-        ssim: mean(|view| view.ssim),
-        flip: mean(|view| view.flip),
-        perceptual: Perceptual::mean(&scores.iter().map(|view| view.perceptual).collect::<Vec<_>>()),
-        fitted: Fitted::mean(&scores.iter().map(|view| view.fitted).collect::<Vec<_>>()),
-        seconds_per_view: mean(|view| view.seconds),
+        psnr,
+        ssim,
+        flip,
+        perceptual,
+        fitted,
+        seconds_per_view: views.iter().map(|view| view.seconds).sum::<f64>() / views.len() as f64,
         surfels: scene.surfels.len(),
         gaussians: scene.gaussians.len(),
-        views: scores,
+        views,
     })
+}
+
+pub fn mean_scores(views: &[ViewScore]) -> Scores {
+    Scores::mean(&views.iter().map(|view| view.scores).collect::<Vec<_>>())
 }
 
 /// The scores of all `views`, which were dealt out one by one.
@@ -291,8 +264,7 @@ pub fn score_picture(
         let found = vec![picture.height, picture.width, 3];
         return Err(Error::Shape { tensor: "picture".to_owned(), expected: format!("[{height}, {width}, 3]"), found });
     }
-    let channel = |channel: usize| picture.bytes.iter().skip(channel).step_by(3).map(|&byte| f32::from(byte) / 255.0);
-    let planes: Vec<f32> = (0..3).flat_map(channel).collect();
+    let planes = pictures::planes(picture);
     let image = Tensor::from_data(TensorData::new(planes, [3, height, width]), (device, DType::F32));
     let photograph = view.picture()?;
     score(&view.name, &photograph, image, seconds, device, measures)
@@ -316,17 +288,13 @@ fn score(
         None => picture,
     });
     let (reference, test) = (tensor_to_rows(&picture), tensor_to_rows(&image));
-    let mut perceptual = if measures.perceptual {
-        Perceptual::without_networks(&reference, &test, width, height)
-    } else {
-        Perceptual::default()
-    };
+    let mut perceptual = Perceptual::default();
+    if measures.perceptual {
+        perceptual.ms_ssim = ms_ssim(&reference, &test, width, height);
+        perceptual.ssimulacra2 = ssimulacra2(&reference, &test, width, height);
+    }
     for lpips in measures.networks {
-        let distance = lpips.distance(&picture, &image)?;
-        match lpips.network {
-            Network::Alex => perceptual.lpips_alex = distance,
-            Network::Vgg => perceptual.lpips_vgg = distance,
-        }
+        *perceptual.lpips_mut(lpips.network) = lpips.distance(&picture, &image)?;
     }
     let flip = match counted {
         Some(counted) => mean_where(&flip_map(&reference, &test, width, height), counted),
@@ -334,7 +302,8 @@ fn score(
     };
     let target = Target { image: picture, mask };
     let (psnr, ssim) = (psnr(image.clone(), target.clone()).min(LARGEST_PSNR), mean_ssim(image, target)?);
-    Ok(ViewScore { name: name.to_owned(), psnr, ssim, flip, perceptual, fitted, seconds, width, height })
+    let scores = Scores { psnr, ssim, flip, perceptual, fitted };
+    Ok(ViewScore { name: name.to_owned(), scores, seconds, width, height })
 }
 
 /// Mean of the `values` of pixels that count; at least one does.

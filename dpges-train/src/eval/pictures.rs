@@ -7,8 +7,9 @@ use std::path::Path;
 use dpges_core::Result;
 use dpges_core::scene::atomic::write_atomically;
 use dpges_render::{Rgb8Image, false_colour};
+use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::{ExtendedColorType, ImageEncoder, ImageResult};
 
 use crate::dataset::{Picture, View};
 use crate::eval::rendered::{Rendered, to_picture};
@@ -45,7 +46,7 @@ pub fn with_flip(view: &View, render: &Rendered) -> Result<Rgb8Image> {
 }
 
 /// [3, height, width], from 0 to 1.
-fn planes(image: &Rgb8Image) -> Vec<f32> {
+pub(super) fn planes(image: &Rgb8Image) -> Vec<f32> {
     let channel = |channel: usize| image.bytes.iter().skip(channel).step_by(3).map(|&byte| f32::from(byte) / 255.0);
     (0..3).flat_map(channel).collect()
 }
@@ -93,6 +94,14 @@ pub fn save_png(image: &Rgb8Image, path: &Path) -> Result<()> {
             .map_err(std::io::Error::other)?;
         file.write_all(&encoded)
     })
+}
+
+/// The bytes of a JPEG of `quality` 1 to 100.
+pub fn jpeg(image: &Rgb8Image, quality: u8) -> ImageResult<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let (width, height) = (image.width as u32, image.height as u32);
+    JpegEncoder::new_with_quality(&mut bytes, quality).encode(&image.bytes, width, height, ExtendedColorType::Rgb8)?;
+    Ok(bytes)
 }
 
 /// File names without extension, one for each view and all different. Separators of folders, and characters that are

@@ -104,8 +104,8 @@ mod tests {
 
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin};
-    use crate::device::DeviceName;
     use crate::eval::evaluate;
+    use crate::run::fixtures::device;
 
     /// Grey balls on the points of the built-in scene.
     fn start(points: &[[f32; 3]], rendering: Rendering) -> SceneData {
@@ -122,7 +122,7 @@ mod tests {
     fn splats_learn_what_photographs_show() {
         let options = BuiltinOptions { width: 24, height: 24, train_views: 4, points: 300, ..Default::default() };
         let data = builtin(&options);
-        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let device = device();
         let scene = start(&data.points.positions, Rendering::Ellipsoids);
         let mut reported = 0;
         let fitted = fit(&scene, &data.train, 60, &device, |completed| reported = completed).unwrap();
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_fitted_is_named() {
-        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let device = device();
         let none = fit(&start(&[[0.0; 3]], Rendering::Ellipsoids), &[], 1, &device, |_| ()).unwrap_err();
         assert!(none.to_string().contains("views"), "{none}");
         let options = BuiltinOptions { width: 4, height: 4, train_views: 1, points: 0, ..Default::default() };

@@ -10,7 +10,7 @@ impl EvalReport {
     /// For people. `worst` says what is worst and where its picture is, `notes` what was not measured.
     pub fn rows(&self, worst: &[String], notes: Vec<(&'static str, String)>) -> Vec<(&str, String)> {
         let Evaluation { views, surfels, gaussians, seconds_per_view, .. } = &self.evaluation;
-        let mut scores: Vec<(&str, Scores)> = views.iter().map(|view| (view.name.as_str(), view.scores())).collect();
+        let mut scores: Vec<(&str, Scores)> = views.iter().map(|view| (view.name.as_str(), view.scores)).collect();
         scores.push(("mean", self.evaluation.scores()));
         let is_known = |metric: &&Metric| scores.iter().any(|(_, scores)| metric.of(scores).is_some());
         let shown: Vec<&Metric> = METRICS.iter().filter(is_known).collect();

@@ -6,7 +6,6 @@ use std::process::{Child, Command, Stdio};
 
 use dpges_render::Rgb8Image;
 
-/// Why there is no video, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
     #[error(
@@ -44,9 +43,6 @@ pub struct Video {
 
 impl Video {
     /// A file of `fps` pictures per second, by the `program` ffmpeg; `sizes` are the names and the sizes of the pictures, px.
-    ///
-    /// # Errors
-    /// [`VideoError`].
     pub fn new<'a>(
         file: &Path,
         program: &Path,
@@ -88,10 +84,6 @@ impl Video {
         Ok(Self { encoder, program: program.to_owned(), file: file.to_owned(), unfinished })
     }
 
-    /// The next picture.
-    ///
-    /// # Errors
-    /// [`VideoError::Failed`].
     pub fn take(&mut self, picture: &Rgb8Image) -> Result<(), VideoError> {
         let written = self.encoder.stdin.as_mut().map(|input| input.write_all(&picture.bytes));
         match written {
@@ -102,9 +94,6 @@ impl Video {
     }
 
     /// Completes the file; returns its path.
-    ///
-    /// # Errors
-    /// [`VideoError::Failed`], [`VideoError::Write`].
     pub fn finish(mut self) -> Result<PathBuf, VideoError> {
         drop(self.encoder.stdin.take());
         if !self.encoder.wait().is_ok_and(|status| status.success()) {

@@ -2,8 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
-use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use dpges_core::Result;
 use dpges_render::Rgb8Image;
@@ -12,31 +11,12 @@ use super::Evaluation;
 use super::pictures::{save_png, with_flip};
 use super::rendered::Renderer;
 use crate::dataset::View;
-use crate::metrics::{METRICS, Metric, Scores};
+use crate::metrics::{METRICS, Scores};
 
-/// A view, and the picture of it.
-pub struct WorstView {
-    metric: &'static Metric,
-    /// Its value of the metric.
-    value: Option<f64>,
-    /// Name of the view.
-    view: String,
-    path: PathBuf,
-}
-
-impl fmt::Display for WorstView {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { metric, value, view, path } = self;
-        write!(f, "{} {}: {view}, {}", metric.title, metric.text(*value), path.display())
-    }
-}
-
-/// Writes the worst of `views` by each metric of their `evaluation` as `worst_METRIC.png` into `folder`.
-///
-/// # Errors
-/// If a view cannot be rendered, or a picture not be written.
-pub fn write(folder: &Path, evaluation: &Evaluation, views: &[View], renderer: &Renderer) -> Result<Vec<WorstView>> {
-    let scores: Vec<Scores> = evaluation.views.iter().map(|view| view.scores()).collect();
+/// Writes the worst of `views` by each metric of their `evaluation` as `worst_METRIC.png` into `folder`. Returns what is worst
+/// and where its picture is.
+pub fn write(folder: &Path, evaluation: &Evaluation, views: &[View], renderer: &Renderer) -> Result<Vec<String>> {
+    let scores: Vec<Scores> = evaluation.views.iter().map(|view| view.scores).collect();
     let mut pictures: BTreeMap<usize, Rgb8Image> = BTreeMap::new();
     let mut written = Vec::new();
     for metric in &METRICS {
@@ -48,7 +28,8 @@ pub fn write(folder: &Path, evaluation: &Evaluation, views: &[View], renderer: &
         };
         let path = folder.join(format!("worst_{}.png", metric.key));
         save_png(picture, &path)?;
-        written.push(WorstView { metric, value: metric.of(&scores[index]), view: view.name.clone(), path });
+        let value = metric.text(metric.of(&scores[index]));
+        written.push(format!("{} {value}: {}, {}", metric.title, view.name, path.display()));
     }
     Ok(written)
 }

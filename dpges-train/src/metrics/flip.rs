@@ -12,21 +12,10 @@ use super::plane::Plane;
 /// A display 0.7 m wide with 3840 px, seen from 0.7 m.
 const PIXELS_PER_DEGREE: f64 = 3840.0 * PI / 180.0;
 
-/// A Gaussian of a contrast sensitivity function: weight and width.
-struct Sensitivity {
-    a: f64,
-    b: f64,
-}
-
-/// Sensitivities to luminance, red against green, blue against yellow.
-const SENSITIVITIES: [&[Sensitivity]; 3] = [
-    &[Sensitivity { a: 1.0, b: 0.0047 }],
-    &[Sensitivity { a: 1.0, b: 0.0053 }],
-    &[Sensitivity { a: 34.1, b: 0.04 }, Sensitivity { a: 13.5, b: 0.025 }],
-];
+/// Contrast sensitivity functions of luminance, red against green, blue against yellow: weights a and widths b of Gaussians.
+const SENSITIVITIES: [&[(f64, f64)]; 3] = [&[(1.0, 0.0047)], &[(1.0, 0.0053)], &[(34.1, 0.04), (13.5, 0.025)]];
 /// The largest b: all filters reach as far as the widest does.
 const WIDEST: f64 = 0.04;
-/// Exponent of differences of colours.
 const COLOUR_EXPONENT: f64 = 0.7;
 /// Differences below this share of the largest are stretched ...
 const STRETCHED: f64 = 0.4;
@@ -115,7 +104,6 @@ impl Seen {
     }
 }
 
-/// sRGB to linear.
 fn linear(value: f64) -> f64 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
@@ -179,10 +167,10 @@ fn normalised(kernel: Vec<f64>) -> Vec<f64> {
 }
 
 /// A channel without the contrast that the eye does not see.
-fn filtered(channel: &[f64], sensitivities: &[Sensitivity], plane: Plane) -> Vec<f64> {
+fn filtered(channel: &[f64], sensitivities: &[(f64, f64)], plane: Plane) -> Vec<f64> {
     let radius = (3.0 * (WIDEST / (2.0 * PI * PI)).sqrt() * PIXELS_PER_DEGREE).ceil() as i64;
     let (mut sums, mut total) = (vec![0.0; channel.len()], 0.0);
-    for &Sensitivity { a, b } in sensitivities {
+    for &(a, b) in sensitivities {
         let kernel = kernel(radius, |x| (-(PI * x / PIXELS_PER_DEGREE).powi(2) / b).exp());
         let weight = a * (PI / b).sqrt();
         total += weight * kernel.iter().sum::<f64>().powi(2);
@@ -195,69 +183,35 @@ fn filtered(channel: &[f64], sensitivities: &[Sensitivity], plane: Plane) -> Vec
 
 #[cfg(test)]
 mod tests {
+    use super::super::test_pictures::{noise, picture};
     use super::*;
 
     const WIDTH: usize = 48;
     const HEIGHT: usize = 36;
 
-    /// A picture of 8-bit values.
-    fn picture(of: impl Fn(usize, usize, usize) -> usize) -> Vec<f32> {
-        let at = |i: usize| (i / (WIDTH * HEIGHT), i / WIDTH % HEIGHT, i % WIDTH);
-        (0..3 * WIDTH * HEIGHT).map(at).map(|(c, y, x)| (of(c, y, x) % 256) as f32 / 255.0).collect()
+    fn ramp(c: usize, y: usize, x: usize) -> usize {
+        40 + 4 * x + 2 * y + 20 * c
     }
 
-    fn ramp() -> Vec<f32> {
-        picture(|c, y, x| 40 + 4 * x + 2 * y + 20 * c)
-    }
-
-    fn noise(c: usize, y: usize, x: usize) -> usize {
-        (x * 7919 + y * 104_729 + c * 1_299_709 + x * y * 31) % 251
-    }
-
-    fn discs() -> Vec<f32> {
-        picture(
-            |c, y, x| {
-                if (x % 12).abs_diff(6).pow(2) + (y % 12).abs_diff(6).pow(2) < 16 { 60 + 70 * c } else { 200 - 40 * c }
-            },
-        )
+    fn discs(c: usize, y: usize, x: usize) -> usize {
+        if (x % 12).abs_diff(6).pow(2) + (y % 12).abs_diff(6).pow(2) < 16 { 60 + 70 * c } else { 200 - 40 * c }
     }
 
     /// Values of the published evaluator, flip-evaluator 1.7, for the same pictures at the same viewing conditions, in
     /// single precision.
     #[test]
     fn it_agrees_with_the_published_evaluator() {
-        let cases = [
-            ("ramp, shifted", ramp(), picture(|c, y, x| 40 + 4 * (x + 2) + 2 * y + 20 * c), 0.328_567_95),
-            ("ramp, darker", ramp(), picture(|c, y, x| (40 + 4 * x + 2 * y + 20 * c) * 3 / 4), 0.650_371_91),
-            (
-                "discs, noisy",
-                discs(),
-                {
-                    let noise = picture(noise);
-                    discs()
-                        .iter()
-                        .zip(&noise)
-                        .map(|(a, b)| ((a * 255.0 * 7.0 + b * 255.0) / 8.0).floor() / 255.0)
-                        .collect()
-                },
-                0.159_607_96,
-            ),
-            (
-                "discs, moved",
-                discs(),
-                picture(|c, y, x| {
-                    if ((x + 1) % 12).abs_diff(6).pow(2) + (y % 12).abs_diff(6).pow(2) < 16 {
-                        60 + 70 * c
-                    } else {
-                        200 - 40 * c
-                    }
-                }),
-                0.166_653_86,
-            ),
-            ("noise, grey", picture(noise), vec![128.0 / 255.0; 3 * WIDTH * HEIGHT], 0.412_582_81),
-            ("white, black", vec![1.0; 3 * WIDTH * HEIGHT], vec![0.0; 3 * WIDTH * HEIGHT], 0.967_400_01),
+        type Of = fn(usize, usize, usize) -> usize;
+        let cases: [(&str, Of, Of, f64); 6] = [
+            ("ramp, shifted", ramp, |c, y, x| ramp(c, y, x + 2), 0.328_567_95),
+            ("ramp, darker", ramp, |c, y, x| ramp(c, y, x) * 3 / 4, 0.650_371_91),
+            ("discs, noisy", discs, |c, y, x| (7 * discs(c, y, x) + noise(c, y, x)) / 8, 0.159_607_96),
+            ("discs, moved", discs, |c, y, x| discs(c, y, x + 1), 0.166_653_86),
+            ("noise, grey", noise, |_, _, _| 128, 0.412_582_81),
+            ("white, black", |_, _, _| 255, |_, _, _| 0, 0.967_400_01),
         ];
         for (name, reference, test, expected) in cases {
+            let [reference, test] = [reference, test].map(|of| picture(WIDTH, HEIGHT, of));
             let found = flip(&reference, &test, WIDTH, HEIGHT);
             assert!((found - expected).abs() < 5e-5, "{name}: {found}, expected {expected}");
         }
@@ -265,8 +219,9 @@ mod tests {
 
     #[test]
     fn equal_pictures_do_not_differ() {
-        assert_eq!(flip(&discs(), &discs(), WIDTH, HEIGHT), 0.0);
-        assert_eq!(flip_map(&discs(), &discs(), WIDTH, HEIGHT), vec![0.0; WIDTH * HEIGHT]);
+        let discs = picture(WIDTH, HEIGHT, discs);
+        assert_eq!(flip(&discs, &discs, WIDTH, HEIGHT), 0.0);
+        assert_eq!(flip_map(&discs, &discs, WIDTH, HEIGHT), vec![0.0; WIDTH * HEIGHT]);
         assert_eq!(flip(&[], &[], 0, 0), 0.0);
         assert!(flip(&[0.5; 3], &[0.6; 3], 1, 1) > 0.01);
     }

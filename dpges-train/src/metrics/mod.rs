@@ -17,5 +17,5 @@ pub use self::ssimulacra2::ssimulacra2;
 pub use flip::{flip, flip_map};
 pub use ms_ssim::ms_ssim;
 pub use psnr::{psnr, quantised};
-pub use scores::{Fitted, METRICS, Metric, Perceptual, Scores, further_metrics};
+pub use scores::{Fitted, METRICS, Metric, Perceptual, Scores};
 pub use ssim::{OF_IGNORED_PIXELS, mean_ssim};

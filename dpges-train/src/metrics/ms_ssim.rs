@@ -8,9 +8,8 @@ use super::plane::Plane;
 
 /// Exponents of the scales, finest first.
 const WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
-/// Radius of the window, px.
+/// Radius and standard deviation of the window, px.
 const RADIUS: usize = 5;
-/// Standard deviation of the window, px.
 const DEVIATION: f64 = 1.5;
 /// (K₁ L)² and (K₂ L)² with K₁ = 0.01, K₂ = 0.03 and values up to L = 1.
 const C1: f64 = 1e-4;

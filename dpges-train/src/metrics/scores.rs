@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{ms_ssim, ssimulacra2};
+use super::lpips::Network;
 
 /// Metrics that take longer than PSNR, SSIM and FLIP. Each is absent where it was not measured or the picture is too
 /// small for it.
@@ -54,7 +54,6 @@ pub struct Scores {
     pub fitted: Fitted,
 }
 
-/// One of the numbers in [`Scores`].
 #[derive(Clone, Copy, Debug)]
 pub struct Metric {
     /// As JSON, CSV and file names call it.
@@ -73,114 +72,49 @@ pub struct Metric {
 /// All of them, in the order in which they are shown: three that every evaluation has, then those of [`Perceptual`] and of
 /// [`Fitted`].
 pub static METRICS: [Metric; 11] = [
-    Metric { key: "psnr", title: "PSNR", unit: " dB", digits: 2, is_error: false, of: |scores| Some(scores.psnr) },
-    Metric { key: "ssim", title: "SSIM", unit: "", digits: 4, is_error: false, of: |scores| Some(scores.ssim) },
-    Metric { key: "flip", title: "FLIP", unit: "", digits: 4, is_error: true, of: |scores| Some(scores.flip) },
-    Metric {
-        key: "ms_ssim",
-        title: "MS-SSIM",
-        unit: "",
-        digits: 4,
-        is_error: false,
-        of: |scores| scores.perceptual.ms_ssim,
-    },
-    Metric {
-        key: "ssimulacra2",
-        title: "SSIMULACRA2",
-        unit: "",
-        digits: 2,
-        is_error: false,
-        of: |scores| scores.perceptual.ssimulacra2,
-    },
-    Metric {
-        key: "lpips_alex",
-        title: "LPIPS (Alex)",
-        unit: "",
-        digits: 4,
-        is_error: true,
-        of: |scores| scores.perceptual.lpips_alex,
-    },
-    Metric {
-        key: "lpips_vgg",
-        title: "LPIPS (VGG)",
-        unit: "",
-        digits: 4,
-        is_error: true,
-        of: |scores| scores.perceptual.lpips_vgg,
-    },
-    Metric {
-        key: "psnr_fitted",
-        title: "fitted PSNR",
-        unit: " dB",
-        digits: 2,
-        is_error: false,
-        of: |scores| scores.fitted.psnr_fitted,
-    },
-    Metric {
-        key: "ssim_fitted",
-        title: "fitted SSIM",
-        unit: "",
-        digits: 4,
-        is_error: false,
-        of: |scores| scores.fitted.ssim_fitted,
-    },
-    Metric {
-        key: "psnr_posed",
-        title: "posed PSNR",
-        unit: " dB",
-        digits: 2,
-        is_error: false,
-        of: |scores| scores.fitted.psnr_posed,
-    },
-    Metric {
-        key: "ssim_posed",
-        title: "posed SSIM",
-        unit: "",
-        digits: 4,
-        is_error: false,
-        of: |scores| scores.fitted.ssim_posed,
-    },
+    Metric::new("psnr", "PSNR", 2, |scores| Some(scores.psnr)).in_decibels(),
+    Metric::new("ssim", "SSIM", 4, |scores| Some(scores.ssim)),
+    Metric::new("flip", "FLIP", 4, |scores| Some(scores.flip)).less_is_better(),
+    Metric::new("ms_ssim", "MS-SSIM", 4, |scores| scores.perceptual.ms_ssim),
+    Metric::new("ssimulacra2", "SSIMULACRA2", 2, |scores| scores.perceptual.ssimulacra2),
+    Metric::new("lpips_alex", "LPIPS (Alex)", 4, |scores| scores.perceptual.lpips_alex).less_is_better(),
+    Metric::new("lpips_vgg", "LPIPS (VGG)", 4, |scores| scores.perceptual.lpips_vgg).less_is_better(),
+    Metric::new("psnr_fitted", "fitted PSNR", 2, |scores| scores.fitted.psnr_fitted).in_decibels(),
+    Metric::new("ssim_fitted", "fitted SSIM", 4, |scores| scores.fitted.ssim_fitted),
+    Metric::new("psnr_posed", "posed PSNR", 2, |scores| scores.fitted.psnr_posed).in_decibels(),
+    Metric::new("ssim_posed", "posed SSIM", 4, |scores| scores.fitted.ssim_posed),
 ];
 
-/// The metrics that only some evaluations have.
-pub fn further_metrics() -> &'static [Metric] {
-    &METRICS[3..]
-}
-
 impl Perceptual {
-    /// MS-SSIM and SSIMULACRA2 of two pictures [3 × `height` × `width`], display-referred (sRGB) from 0 to 1.
-    ///
-    /// # Panics
-    /// If the planes are not of that size.
-    pub fn without_networks(reference: &[f32], test: &[f32], width: usize, height: usize) -> Self {
-        Self {
-            ms_ssim: ms_ssim(reference, test, width, height),
-            ssimulacra2: ssimulacra2(reference, test, width, height),
-            ..Self::default()
-        }
-    }
-
-    /// The mean over views of what every view has.
-    pub fn mean(views: &[Self]) -> Self {
-        let mean = |of: fn(&Self) -> Option<f64>| mean_if_known(views.iter().map(of));
-        Self {
-            ms_ssim: mean(|view| view.ms_ssim),
-            ssimulacra2: mean(|view| view.ssimulacra2),
-            lpips_alex: mean(|view| view.lpips_alex),
-            lpips_vgg: mean(|view| view.lpips_vgg),
+    pub fn lpips_mut(&mut self, network: Network) -> &mut Option<f64> {
+        match network {
+            Network::Alex => &mut self.lpips_alex,
+            Network::Vgg => &mut self.lpips_vgg,
         }
     }
 }
 
-impl Fitted {
-    /// The mean over views of what every view has.
+impl Scores {
+    /// The mean over `views`, of which there is at least one; of what may be absent where every view has it.
     pub fn mean(views: &[Self]) -> Self {
-        let mean = |of: fn(&Self) -> Option<f64>| mean_if_known(views.iter().map(of));
+        let mean = |of: fn(&Self) -> f64| views.iter().map(of).sum::<f64>() / views.len() as f64;
+        let if_known = |of: fn(&Self) -> Option<f64>| mean_if_known(views.iter().map(of));
         Self {
-            psnr_fitted: mean(|view| view.psnr_fitted),
-            ssim_fitted: mean(|view| view.ssim_fitted),
-            psnr_posed: mean(|view| view.psnr_posed),
-            ssim_posed: mean(|view| view.ssim_posed),
+            psnr: mean(|view| view.psnr),
+            ssim: mean(|view| view.ssim),
+            flip: mean(|view| view.flip),
+            perceptual: Perceptual {
+                ms_ssim: if_known(|view| view.perceptual.ms_ssim),
+                ssimulacra2: if_known(|view| view.perceptual.ssimulacra2),
+                lpips_alex: if_known(|view| view.perceptual.lpips_alex),
+                lpips_vgg: if_known(|view| view.perceptual.lpips_vgg),
+            },
+            fitted: Fitted {
+                psnr_fitted: if_known(|view| view.fitted.psnr_fitted),
+                ssim_fitted: if_known(|view| view.fitted.ssim_fitted),
+                psnr_posed: if_known(|view| view.fitted.psnr_posed),
+                ssim_posed: if_known(|view| view.fitted.ssim_posed),
+            },
         }
     }
 }
@@ -192,6 +126,18 @@ fn mean_if_known(values: impl Iterator<Item = Option<f64>>) -> Option<f64> {
 }
 
 impl Metric {
+    const fn new(key: &'static str, title: &'static str, digits: usize, of: fn(&Scores) -> Option<f64>) -> Self {
+        Self { key, title, unit: "", digits, is_error: false, of }
+    }
+
+    const fn in_decibels(self) -> Self {
+        Self { unit: " dB", ..self }
+    }
+
+    const fn less_is_better(self) -> Self {
+        Self { is_error: true, ..self }
+    }
+
     /// Its value; `None` if it is absent.
     pub fn of(&self, scores: &Scores) -> Option<f64> {
         (self.of)(scores)
@@ -232,15 +178,20 @@ mod tests {
 
     #[test]
     fn a_mean_is_over_all_views_or_absent() {
-        let view = |ms_ssim, ssimulacra2| Perceptual { ms_ssim, ssimulacra2, ..Perceptual::default() };
-        let mean = Perceptual::mean(&[view(Some(0.5), Some(10.0)), view(None, Some(30.0))]);
-        assert_eq!(mean, view(None, Some(20.0)));
-        assert_eq!(Perceptual::mean(&[]), Perceptual::default());
-        let known =
-            Fitted { psnr_fitted: Some(20.0), ssim_fitted: Some(0.5), psnr_posed: Some(1.0), ..Fitted::default() };
-        let one = Fitted { psnr_fitted: Some(30.0), psnr_posed: Some(2.0), ..Fitted::default() };
-        let mean = Fitted { psnr_fitted: Some(25.0), psnr_posed: Some(1.5), ..Fitted::default() };
-        assert_eq!(Fitted::mean(&[known, one]), mean);
+        let one = Scores {
+            perceptual: Perceptual { ms_ssim: Some(0.5), ssimulacra2: Some(10.0), ..Perceptual::default() },
+            fitted: Fitted { psnr_fitted: Some(20.0), ssim_fitted: Some(0.5), psnr_posed: Some(1.0), ssim_posed: None },
+            ..scores(20.0, 0.25, None)
+        };
+        let other = Scores {
+            fitted: Fitted { psnr_fitted: Some(30.0), psnr_posed: Some(2.0), ..Fitted::default() },
+            ..scores(40.0, 0.75, Some(30.0))
+        };
+        let mean = Scores {
+            fitted: Fitted { psnr_fitted: Some(25.0), psnr_posed: Some(1.5), ..Fitted::default() },
+            ..scores(30.0, 0.5, Some(20.0))
+        };
+        assert_eq!(Scores::mean(&[one, other]), mean);
     }
 
     #[test]
@@ -257,7 +208,7 @@ mod tests {
         }
         assert_eq!(serde_json::from_value::<Scores>(json).unwrap(), whole);
         let basic = scores(20.0, 0.25, None);
-        assert!(further_metrics().iter().all(|metric| metric.of(&basic).is_none()));
+        assert!(METRICS[3..].iter().all(|metric| metric.of(&basic).is_none()));
         let few = serde_json::to_string(&basic).unwrap();
         assert_eq!(few, r#"{"psnr":20.0,"ssim":0.5,"flip":0.25}"#);
         assert_eq!(serde_json::from_str::<Scores>(&few).unwrap(), scores(20.0, 0.25, None));

@@ -20,10 +20,13 @@ pub fn moved(c: usize, y: usize, x: usize) -> usize {
     discs(c, y, x + 1)
 }
 
+pub fn noise(c: usize, y: usize, x: usize) -> usize {
+    (x * 7919 + y * 104_729 + c * 1_299_709 + x * y * 31) % 251
+}
+
 /// The discs with some noise.
 pub fn noisy(c: usize, y: usize, x: usize) -> usize {
-    let noise = (x * 7919 + y * 104_729 + c * 1_299_709 + x * y * 31) % 251;
-    (7 * discs(c, y, x) + noise) / 8
+    (7 * discs(c, y, x) + noise(c, y, x)) / 8
 }
 
 /// The discs in other colours.

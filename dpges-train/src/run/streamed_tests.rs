@@ -48,7 +48,7 @@ fn where_photographs_are_kept_changes_no_bit_of_a_run() {
     let scene = Trainer::new(config(&["train.steps=4"]), Arc::new(whole.clone()), device()).unwrap().scene();
     let score = |data: &Dataset| {
         let found = evaluate(&scene, &data.test, &device()).unwrap();
-        found.views.iter().map(|view| view.scores()).collect::<Vec<_>>()
+        found.views.iter().map(|view| view.scores).collect::<Vec<_>>()
     };
     assert_eq!(score(&read(0)), score(&whole));
 }

@@ -219,7 +219,8 @@ fn corrections_of_views_are_in_the_folder_and_scores_say_what_they_are_worth() {
         assert!(gain.abs() < 1e-5 && offset.abs() < 1e-5, "{found:?}");
     }
     let report: EvalReport = read_json(&folder.evaluation()).unwrap();
-    assert!(report.evaluation.fitted.psnr_fitted.is_some() && report.evaluation.views[0].fitted.ssim_fitted.is_some());
+    let (all, view) = (&report.evaluation, &report.evaluation.views[0]);
+    assert!(all.fitted.psnr_fitted.is_some() && view.scores.fitted.ssim_fitted.is_some());
 
     let found = folder.read_poses().unwrap().unwrap();
     assert_eq!(found.keys().collect::<Vec<_>>(), ["train_000", "train_001", "train_002"]);

@@ -203,7 +203,7 @@ impl Run {
 
     fn evaluate_validation(&self, scene: &SceneData) -> Result<Evaluation, RunError> {
         let (views, device) = (&self.trainer.dataset().validation, self.trainer.device());
-        let measures = Measures::BASIC.fitted(self.trainer.corrects_exposure());
+        let measures = Measures { fitted: self.trainer.corrects_exposure(), ..Measures::BASIC };
         evaluate_each(&self.renderer(scene), scene, views, device, measures, |_, _| Ok(()))
     }
 
@@ -246,7 +246,7 @@ impl Run {
         }
         let (views, step, device) = (&dataset.test, self.trainer.completed_steps(), self.trainer.device());
         let stems = file_stems(views);
-        let measures = measures.fitted(self.trainer.corrects_exposure());
+        let measures = Measures { fitted: self.trainer.corrects_exposure(), ..measures };
         let shown = evenly_spaced(PICTURE_VIEWS, views.len());
         let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, measures, |index, render| {
             let Some(folder) = self.folder.as_ref().filter(|_| shown.contains(&index)) else { return Ok(()) };

@@ -27,18 +27,17 @@ const PAPER: [&str; 9] = [
 /// All variants: those of the paper's table, then others in the order of their keys.
 pub static VARIANTS: LazyLock<Vec<Variant>> = LazyLock::new(|| {
     let mut all = vec![
-        Variant::new(METHOD, "The method as configured", &[]),
-        Variant::of_preset("ges", "The predecessor (GES): preset `ges`", &[]),
+        Variant::new(METHOD, "The method as configured", vec![]),
+        Variant::of_preset("ges", "The predecessor (GES): preset `ges`", vec![]),
         Variant::new(
             "base",
             "Colours as `sh`, and Gaussians from the discs that are no surfels (GES); needs stages.surfels",
-            &["model.colour=sh3", "stages.gaussians=0", "stages.gaussians_by=rest"],
+            ["model.colour=sh3", "stages.gaussians=0", "stages.gaussians_by=rest"].map(str::to_owned).into(),
         ),
     ];
     all.extend(keys().flat_map(|key| {
-        key.ablations.iter().map(|ablation| {
-            Variant::new(ablation.name, ablation.effect, &[&format!("{}={}", key.name, ablation.value)])
-        })
+        let settings = |value| vec![format!("{}={value}", key.name)];
+        key.ablations.iter().map(move |of| Variant::new(of.name, of.effect, settings(of.value)))
     }));
     all.sort_by_key(|variant| PAPER.iter().position(|name| *name == variant.label).unwrap_or(PAPER.len()));
     all
@@ -46,9 +45,6 @@ pub static VARIANTS: LazyLock<Vec<Variant>> = LazyLock::new(|| {
 
 /// The variants whose labels are in `only`, in the order of all. If that is empty, those of the paper's table, less those
 /// that leave the configuration as it is; the second list has the labels of these.
-///
-/// # Errors
-/// Those of `resolve`, which makes a configuration of `key=value`.
 pub fn chosen<E>(
     only: &[String],
     resolve: impl Fn(&[String]) -> Result<Config, E>,

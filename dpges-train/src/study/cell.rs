@@ -122,7 +122,6 @@ fn state(folder: &RunFolder, config: &Config, dataset: &str) -> Result<State> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::ConfigError;
     use crate::run::folder::{Origin, write_json};
 
     #[test]
@@ -146,18 +145,10 @@ mod tests {
         assert!(refused(&config).contains("/data/garden"));
     }
 
-    #[derive(Debug, thiserror::Error)]
-    enum Error {
-        #[error(transparent)]
-        Study(#[from] StudyError),
-        #[error(transparent)]
-        Config(#[from] ConfigError),
-    }
-
-    fn cells(seeds: u64, set: &[&str]) -> Result<Vec<Cell>, Error> {
+    fn cells(seeds: u64, set: &[&str]) -> Result<Vec<Cell>> {
         let out = tempfile::tempdir().unwrap();
         let variants =
-            [("a", "model.layers=1"), ("b", "model.layers=2")].map(|(label, set)| Variant::new(label, "", &[set]));
+            [("a", 1), ("b", 2)].map(|(label, layers)| Variant::new(label, "", vec![format!("model.layers={layers}")]));
         let plan = Plan { variants: &variants, seeds, folder: out.path(), dataset: "builtin" };
         let set: Vec<String> = set.iter().map(|&set| set.to_owned()).collect();
         plan.cells(|more| Ok(Config::resolve(None, None, &[&set[..], more].concat())?))

@@ -12,12 +12,12 @@ pub static SHAPE: Shape =
 /// Everything that `train.method` can be, then presets that are methods of their own.
 pub static METHODS: LazyLock<Vec<Variant>> = LazyLock::new(|| {
     let choices = key("train.method").choices.iter();
-    let of_key =
-        choices.map(|choice| Variant::new(choice.name, choice.about(), &[&format!("train.method={}", choice.name)]));
+    let settings = |name| vec![format!("train.method={name}")];
+    let of_key = choices.map(|choice| Variant::new(choice.name, choice.about(), settings(choice.name)));
     let ges = Variant::of_preset(
         "ges",
         "The predecessor (GES), as far as there are keys for it: discs, then frozen opaque surfels with Gaussians.",
-        &["train.method=dpges"],
+        settings("dpges"),
     );
     of_key.chain([ges]).collect()
 });

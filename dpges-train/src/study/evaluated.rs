@@ -12,8 +12,8 @@ use crate::dataset::Dataset;
 use crate::eval::popping::{Measured, arc};
 use crate::eval::rendered::Renderer;
 use crate::eval::{EvalReport, Measures, evaluate_each};
-use crate::metrics::lpips::{Lpips, Network};
-use crate::metrics::{Perceptual, Scores};
+use crate::metrics::Perceptual;
+use crate::metrics::lpips::Lpips;
 use crate::run::folder::write_json;
 use crate::run::metrics_log::MetricsLog;
 
@@ -30,13 +30,11 @@ pub struct Further<'a> {
 
 impl Further<'_> {
     /// Adds what the evaluation of a finished `cell` lacks to its file.
-    ///
-    /// # Errors
-    /// If the scene or the evaluation cannot be read, or a view cannot be rendered.
     pub fn measure(&self, cell: &Cell) -> Result<()> {
         let (path, views) = (cell.folder.evaluation(), &self.dataset.test);
         let mut report = read(&path)?;
-        let lacks_lpips = !self.networks.iter().all(|lpips| knows(&report.evaluation.scores(), lpips.network));
+        let mut known = report.evaluation.perceptual;
+        let lacks_lpips = self.networks.iter().any(|lpips| known.lpips_mut(lpips.network).is_none());
         let lacks_popping = self.popping && report.popping.is_none();
         if !lacks_lpips && !lacks_popping {
             return Ok(());
@@ -48,7 +46,7 @@ impl Further<'_> {
             let measures = Measures::perceptual(self.networks);
             let found = evaluate_each(&renderer, &scene, views, self.device, measures, |_, _| Ok::<_, StudyError>(()))?;
             for (view, found) in report.evaluation.views.iter_mut().zip(&found.views) {
-                add(&mut view.perceptual, &found.perceptual);
+                add(&mut view.scores.perceptual, &found.scores.perceptual);
             }
             add(&mut report.evaluation.perceptual, &found.perceptual);
         }
@@ -94,13 +92,6 @@ pub fn read(path: &Path) -> Result<EvalReport> {
     let wrong = |reason: String| StudyError::Evaluation { path: path.to_owned(), reason };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
-}
-
-fn knows(scores: &Scores, network: Network) -> bool {
-    match network {
-        Network::Alex => scores.perceptual.lpips_alex.is_some(),
-        Network::Vgg => scores.perceptual.lpips_vgg.is_some(),
-    }
 }
 
 /// Adds what `known` lacks.

@@ -6,9 +6,6 @@ use plotters::style::{FontStyle, register_font};
 pub const FAMILY: &str = "sans-serif";
 
 /// Makes the font known under its name, as often as it is called.
-///
-/// # Errors
-/// If the font cannot be read.
 pub fn register() -> Result<(), String> {
     register_font(FAMILY, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT)
         .map_err(|_| "the font cannot be read".to_owned())

@@ -8,8 +8,7 @@ use std::time::SystemTime;
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use dpges_core::scene::atomic::write_atomically;
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use dpges_render::Rgb8Image;
 use serde_json::Value;
 
 use super::measure::MEASURES;
@@ -18,7 +17,7 @@ use super::row::Row;
 use super::store::Study;
 use super::table::{Table, csv, escaped};
 use super::{Result, StudyError};
-use crate::eval::pictures::save_png;
+use crate::eval::pictures::{jpeg, save_png};
 
 /// Most rows whose pictures are shown.
 const PICTURES: usize = 9;
@@ -36,9 +35,6 @@ code { overflow-wrap: anywhere; }
 ";
 
 /// Writes everything but the JSON, of a finished study; returns the paths of all files, one a line.
-///
-/// # Errors
-/// If a file cannot be written, or a picture of a row cannot be read.
 pub fn write(study: &Study) -> Result<String> {
     let name = study.shape.name;
     let mut paths = String::new();
@@ -85,10 +81,8 @@ pub fn printed(study: &Study) -> String {
 fn sentences(study: &Study) -> Vec<String> {
     let content = &study.content;
     let mut sentences = content.notes.clone();
-    let mut seeds: Vec<u64> = content.rows.iter().filter_map(|row| row.seed).collect();
-    seeds.sort_unstable();
-    seeds.dedup();
-    let list = seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+    let seeds = content.seeds();
+    let list = seeds.join(", ");
     match seeds.len() {
         0 => {}
         1 => sentences.push(format!("Seed {list}.")),
@@ -163,13 +157,8 @@ fn shown_figure(folder: &Path, file: &str, caption: &str, class: &str) -> Result
     let path = folder.join(file);
     let unreadable = |error: image::ImageError| StudyError::Picture { path: path.clone(), reason: error.to_string() };
     let picture = image::open(&path).map_err(unreadable)?.into_rgb8();
-    let mut jpeg = Vec::new();
-    JpegEncoder::new_with_quality(&mut jpeg, QUALITY).write_image(
-        picture.as_raw(),
-        picture.width(),
-        picture.height(),
-        ExtendedColorType::Rgb8,
-    )?;
+    let (width, height) = (picture.width() as usize, picture.height() as usize);
+    let jpeg = jpeg(&Rgb8Image { width, height, bytes: picture.into_raw() }, QUALITY)?;
     let (data, caption) = (BASE64_STANDARD.encode(&jpeg), escaped(caption));
     Ok(format!(
         "<figure{class}><img alt=\"{caption}\" src=\"data:image/jpeg;base64,{data}\"/><figcaption>{caption}</figcaption></figure>\n"
@@ -178,8 +167,6 @@ fn shown_figure(folder: &Path, file: &str, caption: &str, class: &str) -> Result
 
 #[cfg(test)]
 mod tests {
-    use dpges_render::Rgb8Image;
-
     use super::super::row::tests::{drawn, seeded};
     use super::super::store::Figure;
     use super::super::store::tests::subject;
@@ -253,16 +240,9 @@ mod tests {
         study.finish().unwrap();
         let paths = write(&study).unwrap();
         let names: Vec<&str> = paths.lines().map(|path| path.rsplit('/').next().unwrap()).collect();
-        let expected = [
-            "comparison.csv",
-            "comparison.json",
-            "comparison_bytes.svg",
-            "comparison_bytes.png",
-            "comparison_training_time.svg",
-            "comparison_training_time.png",
-            "report.html",
-        ];
-        assert_eq!(names, expected);
+        let expected = "comparison.csv comparison.json comparison_bytes.svg comparison_bytes.png \
+                        comparison_training_time.svg comparison_training_time.png report.html";
+        assert_eq!(names.join(" "), expected);
         assert!(paths.lines().all(|path| Path::new(path).is_file()));
         let text = printed(&study);
         let end = "At most 7 primitives.\nMean ± sample standard deviation over seeds 0, 1; differences are taken seed by seed.\n\n";

@@ -19,7 +19,7 @@ pub struct Row {
     /// Of several scenes, the one that was trained: `DATASET/SCENE`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
-    /// The scene that it was trained on, if rows may differ in that.
+    /// The device that it was trained on, if rows may differ in that.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
     /// The changes, as `name=value`.
@@ -58,7 +58,6 @@ impl Row {
         }
     }
 
-    /// Sets the numbers of primitives.
     pub fn set_counts(&mut self, surfels: usize, gaussians: usize) {
         let counts = [("surfels", surfels), ("gaussians", gaussians), ("primitives", surfels + gaussians)];
         counts.into_iter().for_each(|(key, count)| self.set(key, Some(count as f64)));

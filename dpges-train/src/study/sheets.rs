@@ -15,22 +15,18 @@ use crate::eval::pictures::{file_stems, save_png, sheet};
 use crate::eval::rendered::{Renderer, to_picture};
 use crate::eval::{LARGEST_PSNR, ViewScore};
 
-/// Largest number of sheets.
 const COUNT: usize = 3;
-/// Folder of the sheets in that of the study.
 const FOLDER: &str = "pictures";
 
 /// Writes a PNG for each chosen one of the held-out `views` into the folder `out` of a study: photograph · each of `cells`,
 /// which are finished; below each its error.
-///
-/// # Errors
-/// If a scene or an evaluation cannot be read, a view cannot be rendered, or a file cannot be written.
 pub fn write(out: &Path, cells: &[&Cell], views: &[View], device: &Device) -> Result<Vec<Figure>> {
     let scores: Vec<Vec<ViewScore>> = cells
         .iter()
         .map(|cell| Ok(evaluated::read(&cell.folder.evaluation())?.evaluation.views))
         .collect::<Result<_>>()?;
-    let psnr = |scores: &[ViewScore], name: &str| scores.iter().find(|view| view.name == name).map(|view| view.psnr);
+    let psnr =
+        |scores: &[ViewScore], name: &str| scores.iter().find(|view| view.name == name).map(|view| view.scores.psnr);
     let of_first = |view: &View| scores.first().and_then(|scores| psnr(scores, &view.name)).unwrap_or(LARGEST_PSNR);
     let chosen = chosen(&views.iter().map(of_first).collect::<Vec<_>>());
     let mut renders = vec![Vec::<Rgb8Image>::with_capacity(cells.len()); chosen.len()];

@@ -1,8 +1,11 @@
 //! The rows of a study, and what they have in common: the content of its JSON.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
+use dpges_core::scene::atomic::write_atomically;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -48,7 +51,14 @@ pub struct Content {
     pub notes: Vec<String>,
 }
 
-/// A study in a folder.
+impl Content {
+    /// The seeds of the rows, ascending.
+    pub fn seeds(&self) -> Vec<String> {
+        let seeds: BTreeSet<u64> = self.rows.iter().filter_map(|row| row.seed).collect();
+        seeds.iter().map(u64::to_string).collect()
+    }
+}
+
 #[derive(Debug)]
 pub struct Study {
     pub shape: &'static Shape,
@@ -57,7 +67,6 @@ pub struct Study {
 }
 
 impl Study {
-    /// Without rows.
     pub fn new(shape: &'static Shape, folder: &Path, subject: Map<String, Value>) -> Self {
         Self { shape, folder: folder.to_owned(), content: Content { subject, ..Content::default() } }
     }
@@ -97,9 +106,6 @@ impl Study {
     }
 
     /// Adds a row to the file.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
     pub fn add(&mut self, row: Row) -> Result<()> {
         self.content.rows.push(row);
         self.save()
@@ -121,9 +127,6 @@ impl Study {
     }
 
     /// Completes the file.
-    ///
-    /// # Errors
-    /// If the file cannot be written.
     pub fn finish(&mut self) -> Result<()> {
         let groups = groups(&self.content.rows);
         let labels = |cost: &Measure| {
@@ -135,7 +138,6 @@ impl Study {
         self.save()
     }
 
-    /// Of the JSON.
     pub fn path(&self) -> PathBuf {
         self.folder.join(format!("{}.json", self.shape.name))
     }
@@ -145,10 +147,6 @@ impl Study {
         self.content.frontiers.values().flatten().any(|best| best == label)
     }
 
-    /// Writes the file.
-    ///
-    /// # Errors
-    /// If it cannot be written.
     pub fn save(&self) -> Result<()> {
         Ok(write_json(&self.path(), &self.content)?)
     }
@@ -168,6 +166,17 @@ pub fn checksum(bytes: &[u8]) -> String {
         .iter()
         .fold(0xcbf2_9ce4_8422_2325u64, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
     format!("{hash:016x}")
+}
+
+/// Writes texts into `folder`, each whole or not at all, by the names of their files. Returns the paths, one a line.
+pub fn write_texts<const N: usize>(folder: &Path, files: [(&str, String); N]) -> Result<String> {
+    let mut paths = String::new();
+    for (name, text) in files {
+        let path = folder.join(name);
+        write_atomically(&path, |file| file.write_all(text.as_bytes()))?;
+        _ = writeln!(paths, "{}", path.display());
+    }
+    Ok(paths)
 }
 
 #[cfg(test)]

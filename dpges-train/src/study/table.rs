@@ -12,13 +12,13 @@ const WITH_DIFFERENCE: [&str; 2] = ["psnr", "ssim"];
 /// Text for people: a line for each label, whose differences are to the first label.
 #[derive(Debug)]
 pub struct Table {
-    head: Vec<String>,
-    /// Cells, and whether the line is on a frontier.
-    lines: Vec<(Vec<String>, bool)>,
+    /// Cells of the head, then those of each line.
+    lines: Vec<Vec<String>>,
+    /// Whether a line is on a frontier, but for the head.
+    is_best: Vec<bool>,
 }
 
 impl Table {
-    /// All of it.
     pub fn whole(study: &Study) -> Self {
         let groups = groups(&study.content.rows);
         let columns: Vec<&Measure> = known(&groups).collect();
@@ -55,30 +55,15 @@ impl Table {
                     cells.push(other.map(|spread| format!("{spread:+.2}")).unwrap_or_default());
                 }
             }
-            (cells, study.is_best(group.label))
+            cells
         };
-        Self { head, lines: groups.iter().map(line).collect() }
+        let is_best = groups.iter().map(|group| study.is_best(group.label)).collect();
+        Self { lines: std::iter::once(head).chain(groups.iter().map(line)).collect(), is_best }
     }
 
-    /// Aligned as text too; numbers stand right.
+    /// Numbers stand right.
     pub fn markdown(&self) -> String {
-        let all: Vec<&Vec<String>> =
-            std::iter::once(&self.head).chain(self.lines.iter().map(|(cells, _)| cells)).collect();
-        let width = |column: usize| all.iter().map(|line| line[column].chars().count()).max().unwrap_or(0).max(3);
-        let widths: Vec<usize> = (0..self.head.len()).map(width).collect();
-        let written = |line: &&Vec<String>| {
-            let cells = line.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| match column {
-                0 => format!(" {cell:width$} |"),
-                _ => format!(" {cell:>width$} |"),
-            });
-            format!("|{}\n", cells.collect::<String>())
-        };
-        let rules = widths.iter().enumerate().map(|(column, &width)| match column {
-            0 => format!("{}|", "-".repeat(width + 2)),
-            _ => format!("{}:|", "-".repeat(width + 1)),
-        });
-        let rules = format!("|{}\n", rules.collect::<String>());
-        written(&all[0]) + &rules + &all[1..].iter().map(written).collect::<String>()
+        aligned(&self.lines, true)
     }
 
     /// Lines of frontiers have the class `best`.
@@ -86,13 +71,32 @@ impl Table {
         let cells = |tag: &str, cells: &[String]| -> String {
             cells.iter().map(|cell| format!("<{tag}>{}</{tag}>", escaped(cell))).collect()
         };
-        let mut html = format!("<table>\n<tr>{}</tr>\n", cells("th", &self.head));
-        for (line, is_best) in &self.lines {
+        let mut html = format!("<table>\n<tr>{}</tr>\n", cells("th", &self.lines[0]));
+        for (line, is_best) in self.lines[1..].iter().zip(&self.is_best) {
             let class = if *is_best { " class=\"best\"" } else { "" };
             _ = writeln!(html, "<tr{class}>{}</tr>", cells("td", line));
         }
         html + "</table>\n"
     }
+}
+
+/// `lines`, of which the first is the head, in Markdown and aligned as text too; cells behind the first of a line stand right
+/// where `numbers_right`.
+pub fn aligned(lines: &[Vec<String>], numbers_right: bool) -> String {
+    let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0).max(3);
+    let widths: Vec<usize> = (0..lines[0].len()).map(width).collect();
+    let stands_right = |column: usize| numbers_right && column > 0;
+    let written = |line: &Vec<String>| {
+        let cells = line.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| {
+            if stands_right(column) { format!("| {cell:>width$} ") } else { format!("| {cell:width$} ") }
+        });
+        cells.collect::<String>() + "|\n"
+    };
+    let rules = widths.iter().enumerate().map(|(column, width)| {
+        let end = if stands_right(column) { ":" } else { "-" };
+        format!("|{}{end}", "-".repeat(width + 1))
+    });
+    written(&lines[0]) + &rules.collect::<String>() + "|\n" + &lines[1..].iter().map(written).collect::<String>()
 }
 
 /// A line per label under a line of names: means, with several seeds sample standard deviations, and differences to the first

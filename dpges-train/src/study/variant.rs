@@ -16,7 +16,6 @@ const OF_THE_RUN: [&str; 8] = [
     "optimizer",
 ];
 
-/// One way to train.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Variant {
     /// Unique in its study; also the name of its folder.
@@ -30,13 +29,12 @@ pub struct Variant {
 }
 
 impl Variant {
-    pub fn new(label: &'static str, about: impl Into<String>, settings: &[&str]) -> Self {
-        let settings = settings.iter().map(|setting| (*setting).to_owned()).collect();
+    pub fn new(label: &'static str, about: impl Into<String>, settings: Vec<String>) -> Self {
         Self { label, about: about.into(), settings, preset: None }
     }
 
     /// `settings`, and what preset `label` says of the method: a run of any length can have that.
-    pub fn of_preset(label: &'static str, about: &str, settings: &[&str]) -> Self {
+    pub fn of_preset(label: &'static str, about: &str, settings: Vec<String>) -> Self {
         let mut variant = Self { preset: Some(label), ..Self::new(label, about, settings) };
         variant.settings.extend(method_of(label));
         variant

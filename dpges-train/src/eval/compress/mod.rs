@@ -15,7 +15,6 @@ use crate::config::budget::MEGABYTE;
 /// colours change pictures most, opacities and margins least.
 const RAISED: [usize; 7] = [1, 6, 0, 2, 5, 3, 4];
 
-/// Why there is no compressed scene, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum CompressError {
     #[error(
@@ -32,7 +31,6 @@ pub enum CompressError {
     Scene(#[from] dpges_core::Error),
 }
 
-/// A scene in the compressed format.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compressed {
     pub quality: Quality,
@@ -43,18 +41,12 @@ pub struct Compressed {
 
 impl Compressed {
     /// For a file at `path`, which errors name and which is not written.
-    ///
-    /// # Errors
-    /// The errors of [`SceneData::to_compressed`].
     pub fn new(scene: &SceneData, quality: &Quality, path: &Path) -> dpges_core::Result<Self> {
         let bytes = scene.to_compressed(quality, path)?;
         Ok(Self { quality: *quality, bytes, path: path.to_owned() })
     }
 
     /// The scene as a reader of the file sees it.
-    ///
-    /// # Errors
-    /// The errors of [`SceneData::from_bytes`].
     pub fn scene(&self) -> dpges_core::Result<SceneData> {
         SceneData::from_bytes(&self.bytes, &self.path.to_string_lossy())
     }
@@ -193,28 +185,12 @@ fn bit_by_bit(
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::schema::Columns;
-    use dpges_core::scene::{ColourModel, GaussianData, SceneInfo, SurfelData};
+    use dpges_core::testing::scenes::{Recipe, random};
 
     use super::*;
 
     fn scene() -> SceneData {
-        let model = ColourModel::SphericalBeta { lobes: 2 };
-        let numbers = |count: usize, width: usize| -> Vec<f32> {
-            (0..count * width).map(|i| (i as f32 * 0.37).sin() + (i as f32 * 1.7).cos()).collect()
-        };
-        SceneData {
-            info: SceneInfo { colour_model: model, ..SceneInfo::default() },
-            surfels: SurfelData::generate(
-                model,
-                SurfelData::ATTRIBUTES.iter().map(|a| numbers(200, a.width.under(model))),
-            ),
-            gaussians: GaussianData::generate(
-                model,
-                GaussianData::ATTRIBUTES.iter().map(|a| numbers(300, a.width.under(model))),
-            ),
-            environment: None,
-        }
+        random(1, &Recipe { surfels: 200, gaussians: 300, ..Recipe::default() }).into_scene().0
     }
 
     fn size_of_level(level: usize) -> usize {

@@ -11,17 +11,12 @@ use super::Compressed;
 /// Content of the file of `--json`.
 #[derive(Debug, Serialize)]
 pub struct Report {
-    /// Path of the scene file.
     pub scene: String,
-    /// Path of the compressed file.
     pub out: String,
-    /// Size of the scene file.
     pub bytes_before: usize,
-    /// Size of the compressed file.
     pub bytes_after: usize,
     /// Bytes before for each byte after.
     pub ratio: f64,
-    /// Bits per number.
     pub bits: Quality,
     /// Attributes of the primitives, by name; those of sets without primitives are left out.
     pub attributes: BTreeMap<&'static str, Bits>,
@@ -50,9 +45,6 @@ pub struct Psnr {
 
 impl Report {
     /// The report of `compressed`, made of `data`, which the file `scene` with the bytes `before` holds.
-    ///
-    /// # Errors
-    /// The errors of [`SceneData::stored_sizes`].
     pub fn new(
         [scene, out]: [String; 2],
         data: &SceneData,

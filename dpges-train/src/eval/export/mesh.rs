@@ -25,25 +25,20 @@ pub fn mesh(scene: &SceneData, views: &[View], voxel: f64, device: &Device) -> R
     let mut fusion = Fusion::new(FusionOptions { farthest, ..FusionOptions::new(voxel) })?;
     let renderer = Renderer::new(scene, device);
     for view in views {
-        fuse(&mut fusion, &renderer, view)?;
+        let rendered = renderer.render(&view.camera)?;
+        let Some(render) = rendered.peeled() else { return Err(ExportError::NoSurfels.into()) };
+        let geometry = renderer.geometry(&view.camera, render);
+        let pixels = view.camera.width * view.camera.height;
+        let transmittance = tensor_to_rows(&render.composite.transmittance);
+        let behind = &transmittance[transmittance.len() - pixels..];
+        let coverage: Vec<f32> = behind.iter().map(|transmittance| 1.0 - transmittance).collect();
+        let blended = tensor_to_rows(&geometry.depth);
+        // 0 / 0 where nothing is covered, which is no depth
+        let depth: Vec<f32> = blended.iter().zip(&coverage).map(|(depth, coverage)| depth / coverage).collect();
+        let colour = tensor_to_rows(&render.composite.image);
+        fusion.add(&DepthView { camera: &view.camera, depth: &depth, coverage: &coverage, colour: &colour })?;
     }
     Ok(fusion.finish()?)
-}
-
-/// Renders a view and fuses the depth of its surfels.
-fn fuse(fusion: &mut Fusion, renderer: &Renderer, view: &View) -> Result<(), ExportFailure> {
-    let rendered = renderer.render(&view.camera)?;
-    let Some(render) = rendered.peeled() else { return Err(ExportError::NoSurfels.into()) };
-    let geometry = renderer.geometry(&view.camera, render);
-    let pixels = view.camera.width * view.camera.height;
-    let transmittance = tensor_to_rows(&render.composite.transmittance);
-    let behind = &transmittance[transmittance.len() - pixels..];
-    let coverage: Vec<f32> = behind.iter().map(|transmittance| 1.0 - transmittance).collect();
-    let blended = tensor_to_rows(&geometry.depth);
-    // 0 / 0 where nothing is covered, which is no depth
-    let depth: Vec<f32> = blended.iter().zip(&coverage).map(|(depth, coverage)| depth / coverage).collect();
-    let colour = tensor_to_rows(&render.composite.image);
-    Ok(fusion.add(&DepthView { camera: &view.camera, depth: &depth, coverage: &coverage, colour: &colour })?)
 }
 
 /// How far the mesh is from the ray-traced scene in `views`, in words.

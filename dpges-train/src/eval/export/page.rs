@@ -6,8 +6,9 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::export::html::{HtmlError, Page, find_page, write_html};
 use dpges_render::{Headless, RenderOptions, check_drawn};
-use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+
+use crate::eval::pictures::jpeg;
+use crate::eval::rendered::scaled;
 
 /// Longer side of the poster picture, px.
 const POSTER_PX: usize = 1280;
@@ -15,9 +16,6 @@ const POSTER_QUALITY: u8 = 85;
 
 /// Writes the folder `out` with the page built in `page` (see [`find_page`]), `scene`, and `cameras` in its coordinates.
 /// The first is that of the poster picture and of the first view. Returns what was written, as names and values.
-///
-/// # Errors
-/// The errors of [`check_drawn`], [`find_page`] and [`write_html`].
 pub fn write(
     scene: &SceneData,
     cameras: &[Camera],
@@ -52,9 +50,6 @@ pub fn write(
 
 /// Writes the page beside the index of levels of detail in the folder `out`, with the page built in `page` (see [`find_page`])
 /// and `cameras`. Returns a row about it; without a page that is built, and none named, there is only the row.
-///
-/// # Errors
-/// The errors of [`find_page`] and [`write_html`].
 pub fn write_beside_levels(
     cameras: &[Camera],
     title: &str,
@@ -71,13 +66,7 @@ pub fn write_beside_levels(
 
 /// The picture of `camera`, in the JPEG format.
 fn poster(scene: &SceneData, camera: &Camera) -> Result<Vec<u8>, Box<dyn std::error::Error>> {
-    let scale = POSTER_PX as f64 / camera.width.max(camera.height) as f64;
-    let side = |length: usize| ((length as f64 * scale).round() as usize).max(1);
-    let camera = camera.resized(side(camera.width), side(camera.height));
+    let camera = scaled(camera, POSTER_PX as f64 / camera.width.max(camera.height) as f64);
     let picture = Headless::new()?.picture(scene, &camera, &RenderOptions::from(&scene.info))?;
-    let (width, height) = (u32::try_from(picture.width)?, u32::try_from(picture.height)?);
-    let mut bytes = Vec::new();
-    let encoder = JpegEncoder::new_with_quality(&mut bytes, POSTER_QUALITY);
-    encoder.write_image(&picture.bytes, width, height, ExtendedColorType::Rgb8)?;
-    Ok(bytes)
+    Ok(jpeg(&picture, POSTER_QUALITY)?)
 }

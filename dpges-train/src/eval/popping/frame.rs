@@ -35,9 +35,6 @@ pub struct Warped {
 
 impl Frame {
     /// Renders the picture, rounded to 8 bits, and its [median depth](Renderer::render_with_depth).
-    ///
-    /// # Errors
-    /// The errors of [`Renderer::render`].
     pub fn render(renderer: &Renderer, camera: &Camera) -> Result<Self> {
         let (view, depth) = renderer.render_with_depth(camera)?;
         Ok(Self { camera: *camera, planes: tensor_to_rows(&quantised(view.image().clone())), depth })

@@ -33,7 +33,6 @@ pub struct Popping {
     pub flip_1: f64,
     /// The same of frames and those 7 before them.
     pub flip_7: f64,
-    /// Frames of the path.
     pub frames: usize,
     /// Share of the pixels that were compared, from 0 to 1: for `flip_1` and for `flip_7`, means over the frames.
     pub pixels_compared: [f64; 2],
@@ -49,9 +48,6 @@ pub struct Measured {
 impl Measured {
     /// Popping of the frames of `renderer` along `path`, in the coordinates of its scene; `None` if no surface is seen
     /// twice, or with fewer than 8 cameras.
-    ///
-    /// # Errors
-    /// The errors of [`Renderer::render`].
     pub fn along(renderer: &Renderer, path: &[Camera]) -> Result<Option<Self>> {
         Self::of(path.iter().map(|camera| Frame::render(renderer, camera)))
     }
@@ -64,14 +60,14 @@ impl Measured {
     /// # Panics
     /// If frames differ in size.
     pub fn of<E>(frames: impl IntoIterator<Item = Result<Frame, E>>) -> Result<Option<Self>, E> {
-        let mut sums = STEPS.map(|_| Sum::default());
+        let mut all_pairs = STEPS.map(|_| Pairs::default());
         let mut earlier: VecDeque<Frame> = VecDeque::new();
         let mut count = 0;
         for frame in frames {
             let frame = frame?;
-            for (sum, step) in sums.iter_mut().zip(STEPS) {
+            for (pairs, step) in all_pairs.iter_mut().zip(STEPS) {
                 if let Some(at) = earlier.len().checked_sub(step) {
-                    sum.add(&frame, &earlier[at], count, step);
+                    pairs.add(&frame, &earlier[at], count, step);
                 }
             }
             earlier.push_back(frame);
@@ -80,49 +76,43 @@ impl Measured {
             }
             count += 1;
         }
-        let [Some(flip_1), Some(flip_7)] = sums.each_ref().map(Sum::mean) else { return Ok(None) };
-        let pixels_compared = sums.each_ref().map(Sum::share);
-        let worst = sums.map(|sum| sum.worst.expect("a mean is of at least one pair"));
+        let [Some(flip_1), Some(flip_7)] = all_pairs.each_ref().map(|pairs| mean(&pairs.flips)) else {
+            return Ok(None);
+        };
+        let pixels_compared = all_pairs.each_ref().map(|pairs| mean(&pairs.shares).unwrap_or(0.0));
+        let worst = all_pairs.map(|pairs| pairs.worst.expect("a mean is of at least one pair"));
         Ok(Some(Self { popping: Popping { flip_1, flip_7, frames: count, pixels_compared }, worst }))
     }
 }
 
-/// Sum over pairs of frames.
+/// Pairs of frames that are as far apart.
 #[derive(Default)]
-struct Sum {
-    flip: f64,
-    /// Sum of the shares of pixels that were compared.
-    shares: f64,
-    /// With pixels to compare.
-    compared: usize,
-    pairs: usize,
+struct Pairs {
+    /// FLIP of those with pixels to compare.
+    flips: Vec<f64>,
+    /// Shares of pixels that were compared.
+    shares: Vec<f64>,
     worst: Option<WorstFrame>,
 }
 
-impl Sum {
+impl Pairs {
     /// `frame` is number `number` of the path, counted from 0, and `step` after `earlier`.
     fn add(&mut self, frame: &Frame, earlier: &Frame, number: usize, step: usize) {
         let warped = frame.warped(earlier);
         let count = warped.is_seen.iter().filter(|&&is_seen| is_seen).count();
-        self.pairs += 1;
-        self.shares += count as f64 / warped.is_seen.len().max(1) as f64;
+        self.shares.push(count as f64 / warped.is_seen.len().max(1) as f64);
         if count > 0 {
             let map = flip_map(&frame.planes, &warped.planes, frame.camera.width, frame.camera.height);
             let seen = map.iter().zip(&warped.is_seen).filter(|(_, is_seen)| **is_seen);
             let flip = seen.map(|(flip, _)| flip).sum::<f64>() / count as f64;
-            self.flip += flip;
-            self.compared += 1;
+            self.flips.push(flip);
             if self.worst.as_ref().is_none_or(|worst| flip > worst.flip) {
                 self.worst = Some(WorstFrame { flip, number, step, picture: worst::picture(frame, &warped, &map) });
             }
         }
     }
+}
 
-    fn mean(&self) -> Option<f64> {
-        (self.compared > 0).then(|| self.flip / self.compared as f64)
-    }
-
-    fn share(&self) -> f64 {
-        self.shares / self.pairs.max(1) as f64
-    }
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }

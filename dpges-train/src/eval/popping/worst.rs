@@ -9,7 +9,6 @@ use dpges_render::{Rgb8Image, false_colour};
 use super::{Frame, Warped};
 use crate::eval::pictures::save_png;
 
-/// Colour of pixels that are not compared.
 const NOT_COMPARED: [u8; 3] = [128; 3];
 
 /// The frame of a path that differs most from an earlier one, as it would look from its camera.
@@ -28,9 +27,6 @@ pub struct WorstFrame {
 
 impl WorstFrame {
     /// Writes the picture as `worst_flip_STEP.png` into `folder`; returns its path.
-    ///
-    /// # Errors
-    /// [`dpges_core::Error::Io`] naming the file.
     pub fn save(&self, folder: &Path) -> Result<PathBuf> {
         let path = folder.join(format!("worst_flip_{}.png", self.step));
         save_png(&self.picture, &path)?;

@@ -13,11 +13,11 @@ use dpges_core::camera::Camera;
 use dpges_core::ops::composite::{Geometry, geometry};
 use dpges_core::ops::environment::environment;
 use dpges_core::ops::peel::PeelOptions;
-use dpges_core::ranks::Ranks;
-use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended, render_blended_probed};
+use dpges_core::ranks::{Alone, Ranks};
+use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended_probed};
 use dpges_core::render::pose::PoseProbe;
 use dpges_core::render::summed::{SummedOptions, SummedRender, WeightedSumTensors, render_summed};
-use dpges_core::render::{Render, RenderOptions, Values, render_on_ranks, render_probed};
+use dpges_core::render::{Render, RenderOptions, Values, render_on_ranks};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
@@ -35,11 +35,17 @@ pub fn to_picture(image: &Tensor<3>) -> Rgb8Image {
     Rgb8Image::from_planes(&tensor_to_rows(image), width, height)
 }
 
+/// `camera` for a picture whose sides are `factor` of its own, at least 1 px.
+pub fn scaled(camera: &Camera, factor: f64) -> Camera {
+    let side = |length: usize| ((length as f64 * factor).round() as usize).max(1);
+    camera.resized(side(camera.width), side(camera.height))
+}
+
 /// A scene as f32 tensors, with the options that it was trained with.
 #[derive(Clone, Debug)]
 pub struct Renderer {
-    surfels: Surfels,
-    gaussians: Gaussians,
+    pub(super) surfels: Surfels,
+    pub(super) gaussians: Gaussians,
     /// Those that `gaussians` are dealt out to.
     ranks: Arc<dyn Ranks>,
     /// All that render this scene.
@@ -134,9 +140,9 @@ impl Renderer {
     /// Renders the view from `camera`, in the coordinates of the scene.
     ///
     /// # Errors
-    /// As [`render_on_ranks`], [`render_blended`] and [`render_summed`].
+    /// As [`render_on_ranks`], [`render_blended_probed`] and [`render_summed`].
     pub fn render(&self, camera: &Camera) -> Result<Rendered> {
-        self.render_with(camera, &self.options)
+        self.render_with(camera, &self.options, None, Values::Unknown)
     }
 
     /// All ranks that render this scene.
@@ -155,47 +161,28 @@ impl Renderer {
     }
 
     /// The image [3, H, W] from the `camera` of a `probe`, on the tape of the probe; the scene is not. Of a rank alone.
-    ///
-    /// # Errors
-    /// The errors of [`render`](Self::render).
     pub fn render_probed(&self, camera: &Camera, probe: &PoseProbe) -> Result<Tensor<3>> {
-        let gaussians = self.gaussians.map_ref(|_, tensor| tensor.clone().autodiff());
-        let rendered = match &self.options {
-            Options::Peeled(options) => {
-                let surfels = self.surfels.map_ref(|_, tensor| tensor.clone().autodiff());
-                let values = Values::KnownFinite;
-                Rendered::Peeled(Box::new(render_probed(&surfels, &gaussians, camera, Some(probe), options, values)?))
-            }
-            Options::Blended(options) => {
-                let probes = Probes { gaussians: None, pose: Some(probe) };
-                let rendered = render_blended_probed(&gaussians, probes, camera, options, Values::KnownFinite)?;
-                Rendered::Blended(Box::new(rendered))
-            }
+        let taped = Self {
+            surfels: self.surfels.map_ref(|_, tensor| tensor.clone().autodiff()),
+            gaussians: self.gaussians.map_ref(|_, tensor| tensor.clone().autodiff()),
+            ranks: Arc::new(Alone),
+            environment: self.environment.clone().map(Tensor::autodiff),
+            ..self.clone()
+        };
+        let options = match self.options.clone() {
             Options::Summed(options, common) => {
-                let WeightedSumTensors { sigma, beta, background } = *common.clone();
+                let WeightedSumTensors { sigma, beta, background } = *common;
                 let [sigma, beta, background] = [sigma, beta, background].map(Tensor::autodiff);
-                let common = WeightedSumTensors { sigma, beta, background };
-                let probes = Probes { gaussians: None, pose: Some(probe) };
-                let rendered = render_summed(&gaussians, &common, probes, camera, options, Values::KnownFinite)?;
-                Rendered::Summed(Box::new(rendered))
+                Options::Summed(options, Box::new(WeightedSumTensors { sigma, beta, background }))
             }
+            other => other,
         };
-        let rendered = match &self.environment {
-            Some(coefficients) => {
-                let coefficients = probe.environment(&coefficients.clone().autodiff());
-                rendered.in_front_of(environment(&coefficients, camera)?)
-            }
-            None => rendered,
-        };
-        Ok(rendered.image().clone())
+        Ok(taped.render_with(camera, &options, Some(probe), Values::KnownFinite)?.image().clone())
     }
 
     /// The view from `camera` and its median depth [height × width]: that of the first surfel, or of the first
     /// blended Gaussian, behind which no more than half of the light passes, world units; 0 where there is none. Of summed
     /// Gaussians, which have no order, it is their mean depth where they have at least half of the weight.
-    ///
-    /// # Errors
-    /// The errors of [`render`](Self::render).
     pub fn render_with_depth(&self, camera: &Camera) -> Result<(Rendered, Vec<f32>)> {
         let mut options = self.options.clone();
         match &mut options {
@@ -203,46 +190,41 @@ impl Renderer {
             Options::Blended(options) => options.blend.maps = true,
             Options::Summed(options, _) => options.depth = true,
         }
-        let rendered = self.render_with(camera, &options)?;
+        let rendered = self.render_with(camera, &options, None, Values::Unknown)?;
         let depth = median_depth::median_depth(&rendered, camera);
         Ok((rendered, depth))
     }
 
-    fn render_with(&self, camera: &Camera, options: &Options) -> Result<Rendered> {
+    fn render_with(
+        &self,
+        camera: &Camera,
+        options: &Options,
+        pose: Option<&PoseProbe>,
+        values: Values,
+    ) -> Result<Rendered> {
+        let (surfels, gaussians, probes) = (&self.surfels, &self.gaussians, Probes { gaussians: None, pose });
         let rendered = match options {
             Options::Peeled(options) => {
-                let (surfels, gaussians, values) = (&self.surfels, &self.gaussians, Values::Unknown);
-                Rendered::Peeled(Box::new(render_on_ranks(
-                    surfels,
-                    gaussians,
-                    camera,
-                    None,
-                    options,
-                    values,
-                    &*self.ranks,
-                )?))
+                let ranks = &*self.ranks;
+                let rendered = render_on_ranks(surfels, gaussians, camera, pose, options, values, ranks)?;
+                Rendered::Peeled(Box::new(rendered))
             }
             Options::Blended(options) => {
-                let rendered = render_blended(&self.gaussians, None, camera, options, Values::Unknown)?;
+                let rendered = render_blended_probed(gaussians, probes, camera, options, values)?;
                 Rendered::Blended(Box::new(rendered))
             }
             Options::Summed(options, common) => {
-                let (probes, values) = (Probes::default(), Values::Unknown);
-                let rendered = render_summed(&self.gaussians, common, probes, camera, options, values)?;
+                let rendered = render_summed(gaussians, common, probes, camera, options, values)?;
                 Rendered::Summed(Box::new(rendered))
             }
         };
-        Ok(match &self.environment {
-            Some(coefficients) => rendered.in_front_of(environment(coefficients, camera)?),
-            None => rendered,
-        })
+        let Some(coefficients) = &self.environment else { return Ok(rendered) };
+        let coefficients = pose.map_or_else(|| coefficients.clone(), |pose| pose.environment(coefficients));
+        Ok(rendered.in_front_of(environment(&coefficients, camera)?))
     }
 
     /// How many primitives float, see [`floaters`](crate::eval::floaters); `None` if `dataset`, in the coordinates of
     /// the scene, does not say which view saw what.
-    ///
-    /// # Errors
-    /// As [`render_on_ranks`].
     pub fn floaters(&self, dataset: &Dataset) -> Result<Option<Floaters>> {
         let peel = match &self.options {
             Options::Peeled(options) => options.peel,
@@ -258,9 +240,6 @@ impl Renderer {
     }
 
     /// How long pictures from `cameras` take.
-    ///
-    /// # Errors
-    /// As [`render_on_ranks`].
     pub fn frame_times(&self, cameras: &[Camera], rounds: Rounds) -> Result<FrameTimes> {
         let mut times = Vec::new();
         for round in 0..rounds.warm_up + rounds.counted {

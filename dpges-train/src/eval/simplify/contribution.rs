@@ -1,14 +1,13 @@
 //! Contributions of primitives to pictures: the sum of the weights with which each is blended into their pixels.
 
-use burn::tensor::{DType, Device, Tensor};
+use burn::tensor::{Device, Tensor};
 use dpges_core::Result;
 use dpges_core::camera::Camera;
-use dpges_core::render::blended::{BlendedOptions, Probes, render_blended};
-use dpges_core::render::summed::{SummedOptions, WeightedSumTensors, render_summed};
-use dpges_core::render::{RenderOptions, Values, render};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{ColourData, ColourModel, Gaussians, Rendering, SH_C0, SceneData, Surfels};
+use dpges_core::scene::{ColourData, ColourModel, SH_C0, SceneData};
+
+use crate::eval::rendered::Renderer;
 
 /// Sums over the pixels of all views, in pixels.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,44 +22,25 @@ impl Contributions {
     /// Renders `scene` on `device` from each of `cameras`, in its coordinates. A pixel is linear in the colours of the
     /// primitives, so that the gradient of the sum of all pixels with respect to a colour is the sum of the primitive's
     /// weights. Colours are replaced by grey: one that is clamped has no gradient.
-    ///
-    /// # Errors
-    /// The errors of [`render`], [`render_blended`] and [`render_summed`].
     pub fn measure(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
         let mut sums = Self { surfels: vec![0.0; scene.surfels.len()], gaussians: vec![0.0; scene.gaussians.len()] };
-        let tape = device.clone().autodiff();
-        let mut surfels = scene.surfels.clone();
-        *surfels.colour_mut() = grey(surfels.model(), surfels.len());
-        let mut gaussians = scene.gaussians.clone();
-        *gaussians.colour_mut() = grey(gaussians.model(), gaussians.len());
+        let mut scene = SceneData { environment: None, ..scene.clone() };
+        scene.surfels.colour = grey(scene.surfels.model(), scene.surfels.len());
+        scene.gaussians.colour = grey(scene.gaussians.model(), scene.gaussians.len());
+        let mut renderer = Renderer::new(&scene, &device.clone().autodiff());
+        for base in [&mut renderer.surfels.colour.base, &mut renderer.gaussians.colour.base] {
+            *base = base.clone().require_grad();
+        }
         for camera in cameras {
-            let mut surfels = Surfels::from_data(&surfels, &tape, DType::F32);
-            let mut gaussians = Gaussians::from_data(&gaussians, &tape, DType::F32);
-            surfels.colour.base = surfels.colour.base.require_grad();
-            gaussians.colour.base = gaussians.colour.base.require_grad();
-            let image = match scene.info.rendering {
-                Rendering::Peeled => {
-                    render(&surfels, &gaussians, camera, &RenderOptions::from(&scene.info))?.composite.image
-                }
-                Rendering::Ellipsoids | Rendering::Discs | Rendering::Students => {
-                    let options = BlendedOptions::new(&scene.info)?;
-                    render_blended(&gaussians, None, camera, &options, Values::Unknown)?.image
-                }
-                Rendering::Summed => {
-                    let (options, sum) = (SummedOptions::new(&scene.info)?, scene.info.weighted_sum.as_ref());
-                    let common = WeightedSumTensors::new(sum.expect("just used"), &tape, DType::F32);
-                    render_summed(&gaussians, &common, Probes::default(), camera, &options, Values::Unknown)?.image
-                }
-            };
-            let gradients = image.sum().backward();
+            let gradients = renderer.render(camera)?.image().clone().sum().backward();
             let add = |sums: &mut [f64], base: &Tensor<2>| {
                 let Some(gradient) = base.grad(&gradients) else { return };
                 let rows = tensor_to_rows(&gradient);
                 let weight = |row: &[f32; 3]| row.iter().map(|&x| f64::from(x)).sum::<f64>() / (3.0 * SH_C0);
                 sums.iter_mut().zip(rows.as_chunks::<3>().0).for_each(|(sum, row)| *sum += weight(row));
             };
-            add(&mut sums.surfels, &surfels.colour.base);
-            add(&mut sums.gaussians, &gaussians.colour.base);
+            add(&mut sums.surfels, &renderer.surfels.colour.base);
+            add(&mut sums.gaussians, &renderer.gaussians.colour.base);
         }
         Ok(sums)
     }
@@ -97,11 +77,10 @@ fn grey(model: ColourModel, count: usize) -> ColourData {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::{SceneInfo, WeightedSum};
+    use dpges_core::scene::{Rendering, WeightedSum};
     use dpges_core::testing::scenes::{Recipe, random};
 
     use super::*;
-    use crate::eval::rendered::Renderer;
     use crate::run::fixtures::device;
 
     fn scene(rendering: Rendering) -> (SceneData, Camera) {
@@ -109,9 +88,12 @@ mod tests {
         let harmonics = ColourModel::HarmonicsAndOpacity { degree: 1 };
         let model = if sum.is_some() { harmonics } else { Recipe::default().model };
         let made = random(7, &Recipe { surfels: 6, gaussians: 9, model, ..Recipe::default() });
-        let info = SceneInfo { colour_model: model, rendering, weighted_sum: sum, ..SceneInfo::default() };
-        let surfels = if rendering == Rendering::Peeled { made.surfels.clone() } else { made.surfels.select(&[]) };
-        (SceneData { info, surfels, gaussians: made.gaussians, environment: None }, made.camera)
+        let (mut scene, camera) = made.into_scene();
+        (scene.info.rendering, scene.info.weighted_sum) = (rendering, sum);
+        if rendering != Rendering::Peeled {
+            scene.surfels = scene.surfels.select(&[]);
+        }
+        (scene, camera)
     }
 
     fn sum(scene: &SceneData, camera: &Camera) -> f64 {
@@ -128,21 +110,21 @@ mod tests {
             scene.info.colour_model = scene.gaussians.model();
             let found = Contributions::measure(&scene, &[camera, camera], &device()).unwrap();
             let before = sum(&scene, &camera);
-            let weight = |changed: &SceneData| (sum(changed, &camera) - before) / (3.0 * SH_C0);
             let mut largest = 0.0f64;
+            let mut check = |changed: &SceneData, expected: f64| {
+                let twice = 2.0 * (sum(changed, &camera) - before) / (3.0 * SH_C0);
+                assert!((twice - expected).abs() < 2e-3 * twice.max(1.0), "{twice}, {expected}: {found:?}");
+                largest = largest.max(expected);
+            };
             for (row, &expected) in found.surfels.iter().enumerate() {
                 let mut changed = scene.clone();
                 changed.surfels.colour.base[3 * row..][..3].fill(1.0);
-                let twice = 2.0 * weight(&changed);
-                assert!((twice - expected).abs() < 2e-3 * twice.max(1.0), "surfel {row}: {twice}, {expected}");
-                largest = largest.max(expected);
+                check(&changed, expected);
             }
             for (row, &expected) in found.gaussians.iter().enumerate() {
                 let mut changed = scene.clone();
                 changed.gaussians.colour.base[3 * row..][..3].fill(1.0);
-                let twice = 2.0 * weight(&changed);
-                assert!((twice - expected).abs() < 2e-3 * twice.max(1.0), "Gaussian {row}: {twice}, {expected}");
-                largest = largest.max(expected);
+                check(&changed, expected);
             }
             assert!(largest > 1.0, "something is seen: {found:?}");
         }

@@ -69,15 +69,12 @@ fn all_around(extent: f64) -> Vec<[f64; 3]> {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::SceneInfo;
     use dpges_core::testing::scenes::{Recipe, random};
 
     use super::*;
 
     fn scene(model: ColourModel) -> SceneData {
-        let made = random(3, &Recipe { surfels: 4, gaussians: 5, model, ..Recipe::default() });
-        let info = SceneInfo { colour_model: model, ..SceneInfo::default() };
-        SceneData { info, surfels: made.surfels, gaussians: made.gaussians, environment: None }
+        random(3, &Recipe { surfels: 4, gaussians: 5, model, ..Recipe::default() }).into_scene().0
     }
 
     fn is_valid(scene: &SceneData) -> bool {

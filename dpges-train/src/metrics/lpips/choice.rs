@@ -10,7 +10,6 @@ use burn::tensor::Device;
 use super::installed::{installed, path};
 use super::{Lpips, LpipsError, Network, Weights};
 
-/// Why networks cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum ChoiceError {
     #[error("--lpips: `none` does not go with networks")]
@@ -64,9 +63,6 @@ pub fn has_vgg(choices: &[Choice]) -> bool {
 }
 
 /// The networks of `choices` on `device`; without choices VGG16 if it is installed.
-///
-/// # Errors
-/// [`ChoiceError`].
 pub fn load(choices: &[Choice], device: &Device) -> Result<Vec<Lpips>, ChoiceError> {
     match choices {
         [] => {

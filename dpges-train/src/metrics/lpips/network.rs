@@ -7,7 +7,6 @@ use std::fmt;
 pub enum Network {
     /// AlexNet, in the version of one tower.
     Alex,
-    /// VGG16.
     Vgg,
 }
 
@@ -117,12 +116,10 @@ impl fmt::Display for Network {
 }
 
 impl Convolution {
-    /// Name of its weights.
     pub fn weight(&self) -> String {
         format!("features.{}.weight", self.index)
     }
 
-    /// Name of its biases.
     pub fn bias(&self) -> String {
         format!("features.{}.bias", self.index)
     }

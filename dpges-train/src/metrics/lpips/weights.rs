@@ -9,17 +9,13 @@ use super::network::{Network, TensorShape};
 
 /// Version of the linear layers: those for scaled pictures.
 const VERSION: &str = "0.1";
-/// Advice for a file that cannot be used.
 const ADVICE: &str =
     "`dpges lpips install` and dpges-train/tools/lpips_weights.py make such files, see docs/guide/measure.md";
 
-/// Why a network cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum LpipsError {
-    /// The file cannot be read.
     #[error("cannot read the LPIPS network {path}: {source}; {ADVICE}")]
     Io { path: PathBuf, source: std::io::Error },
-    /// The file does not hold what it should.
     #[error("the LPIPS network {path} cannot be used: {reason}; {ADVICE}")]
     Content { path: PathBuf, reason: String },
 }
@@ -34,20 +30,12 @@ pub struct Weights {
 
 impl Weights {
     /// The weights that `of` makes for every tensor, asked in the order of [`Network::tensors`].
-    ///
-    /// # Panics
-    /// If `of` makes another number of values than the shape says.
     pub fn new(network: Network, mut of: impl FnMut(&TensorShape) -> Vec<f32>) -> Self {
-        let made: Result<_, std::convert::Infallible> = Self::try_new(network, |tensor| Ok(of(tensor)));
-        let Ok(weights) = made;
-        weights
+        Self::try_new(network, |tensor| Ok(of(tensor))).expect("no tensor is refused")
     }
 
     /// Reads a file in the format of `docs/guide/measure.md`: safetensors with the metadata `network` and `version`, and the
     /// tensors of [`Network::tensors`] in f32, and no others.
-    ///
-    /// # Errors
-    /// [`LpipsError`], which names the file and the tensor.
     pub fn load(path: &Path) -> Result<Self, LpipsError> {
         let bytes = std::fs::read(path).map_err(|source| LpipsError::Io { path: path.to_owned(), source })?;
         Self::read(&bytes).map_err(|reason| LpipsError::Content { path: path.to_owned(), reason })
@@ -81,13 +69,13 @@ impl Weights {
         })
     }
 
-    fn try_new<E>(network: Network, mut of: impl FnMut(&TensorShape) -> Result<Vec<f32>, E>) -> Result<Self, E> {
+    fn try_new(network: Network, mut of: impl FnMut(&TensorShape) -> Result<Vec<f32>, String>) -> Result<Self, String> {
         let tensors = network.tensors().into_iter().map(|tensor| {
             let values = of(&tensor)?;
             assert_eq!(values.len(), tensor.shape.iter().product::<usize>(), "{}", tensor.name);
             Ok((tensor.name, values))
         });
-        Ok(Self { network, values: tensors.collect::<Result<_, E>>()? })
+        Ok(Self { network, values: tensors.collect::<Result<_, String>>()? })
     }
 
     /// The values of the tensor `name`, row-major.

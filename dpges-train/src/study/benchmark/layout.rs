@@ -83,8 +83,10 @@ pub fn find(data: &Path, asked: &Asked) -> Result<Vec<Scene>> {
     if let Some(scene) = asked.scenes.iter().find(|scene| !known.contains(&&scene[..])) {
         return Err(LayoutError::UnknownScene { scene: scene.clone(), known: known.join(", ") });
     }
+    let datasets: Vec<&DatasetEntry> =
+        PUBLISHED.datasets.iter().filter(|dataset| is_wanted(&asked.datasets, &dataset.name)).collect();
     let mut found = Vec::new();
-    for dataset in PUBLISHED.datasets.iter().filter(|dataset| is_wanted(&asked.datasets, &dataset.name)) {
+    for &dataset in &datasets {
         let wanted: Vec<&'static str> = dataset.scenes().filter(|scene| is_wanted(&asked.scenes, scene)).collect();
         if wanted.is_empty() {
             continue;
@@ -114,9 +116,7 @@ pub fn find(data: &Path, asked: &Asked) -> Result<Vec<Scene>> {
         }
     }
     if found.is_empty() {
-        let wanted: Vec<&DatasetEntry> =
-            PUBLISHED.datasets.iter().filter(|dataset| is_wanted(&asked.datasets, &dataset.name)).collect();
-        return Err(no_dataset(data, &wanted));
+        return Err(no_dataset(data, &datasets));
     }
     Ok(found)
 }
@@ -144,22 +144,8 @@ fn folders(path: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::made;
     use super::*;
-
-    /// Folders and files, which end without and with a point; `sparse` makes a COLMAP scene.
-    fn made(paths: &[&str]) -> tempfile::TempDir {
-        let data = tempfile::tempdir().unwrap();
-        for path in paths {
-            let path = data.path().join(path);
-            if path.extension().is_some() {
-                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-                std::fs::write(path, "{}").unwrap();
-            } else {
-                std::fs::create_dir_all(path).unwrap();
-            }
-        }
-        data
-    }
 
     fn asked(datasets: &[&str], scenes: &[&str]) -> Asked {
         let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();

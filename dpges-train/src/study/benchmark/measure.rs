@@ -32,9 +32,6 @@ const ROUNDS: Rounds = Rounds { warm_up: 2, counted: 10 };
 impl Benchmark {
     /// Measures what the paper's tables have of a finished `cell`, and leaves its row in its folder. `name` is the device that
     /// it was trained on.
-    ///
-    /// # Errors
-    /// If the scene or the evaluation cannot be read, a view cannot be rendered, or the row not be written.
     pub fn measure(
         &self,
         planned: &Planned,
@@ -48,7 +45,7 @@ impl Benchmark {
         row.device = name.describe().ok();
         let scene = SceneData::load(&cell.folder.scene())?;
         let renderer = Renderer::new(&scene, device);
-        let networks: Vec<Lpips> = load(&self.lpips, device)?
+        let networks: Vec<Lpips> = load(&self.request.lpips, device)?
             .into_iter()
             .filter(|lpips| lpips.network == Network::Vgg)
             .map(Lpips::unscaled)

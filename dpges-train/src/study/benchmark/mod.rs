@@ -41,12 +41,9 @@ const LOG: &str = "log.txt";
 /// Held by that process.
 const LOCK: &str = "lock";
 
-/// The request of a user.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
-    /// Folder of all datasets.
     pub data: PathBuf,
-    /// Folder for runs and tables.
     pub out: PathBuf,
     pub scenes: Asked,
     /// Names of [`ways`](WAYS); if there are none, all but ablations.
@@ -59,10 +56,7 @@ pub struct Request {
 /// The cells that are to be trained and measured.
 #[derive(Debug)]
 pub struct Benchmark {
-    data: PathBuf,
-    out: PathBuf,
-    protocol: Protocol,
-    lpips: Vec<Choice>,
+    request: Request,
     planned: Vec<Planned>,
 }
 
@@ -84,24 +78,20 @@ impl Planned {
 
 impl Benchmark {
     /// The cells of all scenes and methods with the first seed, then with the second, and so on.
-    ///
-    /// # Errors
-    /// [`layout::LayoutError`].
     pub fn find(request: Request) -> Result<Self> {
-        let Request { data, out, scenes, methods, protocol, lpips } = request;
-        let is_named = |way: &Way| match &methods[..] {
-            [] => !way.is_ablation(),
+        let is_named = |way: &Way| match &request.methods[..] {
+            [] => !way.is_ablation,
             named => named.iter().any(|name| name == way.name),
         };
-        let scenes = layout::find(&data, &scenes)?;
+        let scenes = layout::find(&request.data, &request.scenes)?;
         let mut planned = Vec::new();
-        for seed in 0..protocol.seeds {
+        for seed in 0..request.protocol.seeds {
             for scene in &scenes {
                 let ways = WAYS.iter().filter(|way| is_named(way) && way.is_of(scene.dataset));
                 planned.extend(ways.map(|way| Planned { scene: scene.clone(), way, seed }));
             }
         }
-        Ok(Self { data, out, protocol, lpips, planned })
+        Ok(Self { request, planned })
     }
 
     /// The cell that is called `name` alone.
@@ -126,7 +116,7 @@ impl Benchmark {
 
     /// Folder of the run of a cell.
     fn folder(&self, planned: &Planned) -> PathBuf {
-        self.out.join(RUNS).join(planned.name())
+        self.request.out.join(RUNS).join(planned.name())
     }
 
     /// The run of a cell, as far as it has come.
@@ -135,13 +125,12 @@ impl Benchmark {
     /// [`StudyError::OtherRun`] if its folder holds anything else; [`StudyError::Config`].
     pub fn cell(&self, planned: &Planned) -> Result<Cell> {
         let Planned { scene, way, seed } = planned;
-        let mut settings = way.settings(scene.dataset, scene.name, self.protocol.own_caps);
-        settings.extend(self.protocol.settings(*seed));
+        let mut settings = way.settings(scene.dataset, scene.name, self.request.protocol.own_caps);
+        settings.extend(self.request.protocol.settings(*seed));
         let mut config = Config::resolve(way.preset(scene.dataset), None, &settings)?;
-        self.protocol.scale(&mut config)?;
-        let settings: Vec<&str> = settings.iter().map(String::as_str).collect();
-        let variant = Variant::new(way.name, String::new(), &settings);
-        let folder = self.out.join(RUNS).join(&scene.dataset.name).join(scene.name);
+        self.request.protocol.scale(&mut config)?;
+        let variant = Variant::new(way.name, "", settings);
+        let folder = self.request.out.join(RUNS).join(&scene.dataset.name).join(scene.name);
         let source = Source::named(Some(&scene.path)).to_string();
         let plan = Plan { variants: &[], seeds: 1, folder: &folder, dataset: &source };
         let name = format!("{} on {}, seed {seed}", way.name, scene.name);
@@ -149,9 +138,6 @@ impl Benchmark {
     }
 
     /// Waits until no other process works on a cell, and keeps others from it until the result is dropped.
-    ///
-    /// # Errors
-    /// If its folder cannot be written.
     pub fn lock(&self, planned: &Planned) -> Result<File> {
         let folder = self.folder(planned);
         std::fs::create_dir_all(&folder)?;
@@ -177,7 +163,7 @@ impl Benchmark {
 
     /// The cells for which something is left to do.
     fn open(&self) -> Vec<&Planned> {
-        let with_lpips = has_vgg(&self.lpips);
+        let with_lpips = has_vgg(&self.request.lpips);
         let is_done = |row: Row| !with_lpips || row.get(measure::LPIPS).is_some();
         self.planned.iter().filter(|planned| !self.row(planned).is_some_and(is_done)).collect()
     }
@@ -187,8 +173,8 @@ impl Benchmark {
     /// # Errors
     /// [`StudyError::OtherRows`] if they are of another protocol.
     pub fn study(&self) -> Result<Study> {
-        std::fs::create_dir_all(&self.out)?;
-        let mut study = Study::open(&SHAPE, &self.out, self.protocol.subject())?;
+        std::fs::create_dir_all(&self.request.out)?;
+        let mut study = Study::open(&SHAPE, &self.request.out, self.request.protocol.subject())?;
         for planned in &self.planned {
             match self.row(planned) {
                 Some(row) => study.replace(row),
@@ -199,35 +185,51 @@ impl Benchmark {
     }
 
     /// Collects all rows and writes the tables. Returns them in Markdown, and the paths of the files, one a line.
-    ///
-    /// # Errors
-    /// Those of [`study`](Self::study); if a file cannot be written.
     pub fn report(&self) -> Result<String> {
         let study = self.study()?;
         study.save()?;
-        let tables = Tables::of(&study.content.rows, &self.protocol);
-        let (text, files) = written::write(&tables, &study, &self.protocol)?;
+        let tables = Tables::of(&study.content.rows, &self.request.protocol);
+        let (text, files) = written::write(&tables, &study, &self.request.protocol)?;
         Ok(format!("{text}\n{}\n{files}", study.path().display()))
     }
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use std::path::Path;
+
+    use tempfile::TempDir;
 
     use super::*;
     use crate::study::cell::State;
 
-    fn request(data: &Path, methods: &[&str], protocol: Protocol) -> Request {
+    /// Folders and files, which end without and with a point; `sparse` makes a COLMAP scene.
+    pub fn made(paths: &[&str]) -> TempDir {
+        let data = tempfile::tempdir().unwrap();
+        for path in paths {
+            let path = data.path().join(path);
+            if path.extension().is_some() {
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(path, "{}").unwrap();
+            } else {
+                std::fs::create_dir_all(path).unwrap();
+            }
+        }
+        data
+    }
+
+    /// Garden and truck.
+    pub fn data() -> TempDir {
+        made(&["360_v2/garden/sparse/0", "360_v2/garden/images_4", "tandt/truck/sparse", "tandt/truck/images"])
+    }
+
+    pub fn request(data: &Path, methods: &[&str], protocol: Protocol) -> Request {
         let methods = methods.iter().map(|&name| name.to_owned()).collect();
         let (data, out) = (data.to_owned(), data.join("out"));
         Request { data, out, methods, protocol, lpips: vec![Choice::None], ..Request::default() }
     }
 
-    fn benchmark(data: &Path, methods: &[&str], protocol: Protocol) -> Benchmark {
-        for path in ["360_v2/garden/sparse/0", "360_v2/garden/images_4", "tandt/truck/sparse", "tandt/truck/images"] {
-            std::fs::create_dir_all(data.join(path)).unwrap();
-        }
+    pub fn benchmark(data: &Path, methods: &[&str], protocol: Protocol) -> Benchmark {
         Benchmark::find(request(data, methods, protocol)).unwrap()
     }
 
@@ -237,7 +239,7 @@ mod tests {
 
     #[test]
     fn cells_are_methods_and_scenes_and_seeds_and_ablations_are_of_one_dataset() {
-        let data = tempfile::tempdir().unwrap();
+        let data = data();
         let two = Protocol { seeds: 2, ..Protocol::default() };
         let all = benchmark(data.path(), &["layers-2", "dpges"], two.clone());
         let expected = [
@@ -259,7 +261,7 @@ mod tests {
 
     #[test]
     fn a_cell_has_the_settings_of_its_scene_and_of_the_protocol() {
-        let data = tempfile::tempdir().unwrap();
+        let data = data();
         let protocol = Protocol { steps_scale: 0.01, max_resolution: Some(64), seeds: 2, ..Protocol::default() };
         let all = benchmark(data.path(), &["mcmc"], protocol);
         let cell = all.cell(&all.planned()[2]).unwrap();
@@ -268,12 +270,12 @@ mod tests {
         assert_eq!((read.image_scale, read.max_resolution), (4, 64));
         assert_eq!(model.colour.to_string(), "sh3");
         assert_eq!((cell.state, &cell.relative[..]), (State::New, "runs/mipnerf360/garden/mcmc/seed_1"));
-        assert_eq!(cell.folder.path(), all.out.join(&cell.relative));
+        assert_eq!(cell.folder.path(), all.request.out.join(&cell.relative));
     }
 
     #[test]
     fn a_cell_is_done_when_it_is_finished_and_measured() {
-        let data = tempfile::tempdir().unwrap();
+        let data = data();
         let all = benchmark(data.path(), &["mcmc"], Protocol::default());
         let planned = &all.planned()[0];
         let folder = all.folder(planned);
@@ -285,10 +287,9 @@ mod tests {
         assert_eq!(all.open().len(), 2, "it is trained anew");
         std::fs::write(folder.join("eval.json"), "{}").unwrap();
         assert_eq!(all.open().len(), 1);
-        let with_lpips = Benchmark {
-            lpips: vec![Choice::File("vgg".into())],
-            ..benchmark(data.path(), &["mcmc"], Protocol::default())
-        };
+        let lpips = vec![Choice::File("vgg".into())];
+        let with_lpips =
+            Benchmark::find(Request { lpips, ..request(data.path(), &["mcmc"], Protocol::default()) }).unwrap();
         assert_eq!(with_lpips.open().len(), 2, "LPIPS is measured later");
         let study = all.study().unwrap();
         assert_eq!(study.content.rows, [row]);
@@ -301,7 +302,7 @@ mod tests {
 
     #[test]
     fn a_cell_is_worked_on_by_one_process_at_a_time() {
-        let data = tempfile::tempdir().unwrap();
+        let data = data();
         let all = benchmark(data.path(), &["mcmc"], Protocol::default());
         let planned = &all.planned()[0];
         let held = all.lock(planned).unwrap();

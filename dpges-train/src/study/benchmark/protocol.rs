@@ -62,9 +62,6 @@ impl Protocol {
 
     /// Gives a run its length, and the intervals that follow from it. Evaluations on the way would count as training time, so
     /// there are none that nothing depends on.
-    ///
-    /// # Errors
-    /// Those of [`Config::scale_steps`].
     pub fn scale(&self, config: &mut Config) -> Result<(), ConfigError> {
         config.scale_steps(self.steps_scale)?;
         config.train.checkpoint_every = (config.train.steps / CHECKPOINTS).max(1);
@@ -73,8 +70,7 @@ impl Protocol {
         Ok(())
     }
 
-    /// In words.
-    pub fn sentences(&self) -> Vec<String> {
+    pub fn sentences(&self) -> [&'static str; 3] {
         let primitives = if self.own_caps {
             "Methods that relocate Gaussians have as many as in their own publications; where these do not say how many, it is \
              the budget of the preset of the dataset."
@@ -89,11 +85,10 @@ impl Protocol {
             "Runs have a fixed length, and held-out views decide nothing; in the paper a run is the best of its evaluations on \
              held-out views."
         };
-        vec![
-            "Pictures are compared with 8 bits per channel. LPIPS is that of VGG16 with pictures from 0 to 1."
-                .to_owned(),
-            primitives.to_owned(),
-            stopping.to_owned(),
+        [
+            "Pictures are compared with 8 bits per channel. LPIPS is that of VGG16 with pictures from 0 to 1.",
+            primitives,
+            stopping,
         ]
     }
 }

@@ -53,8 +53,8 @@ pub struct Group {
 pub struct MethodEntry {
     pub name: String,
     pub title: String,
-    #[serde(default)]
-    pub preset: Preset,
+    /// The preset that settings are on top of; `dataset` for that of the dataset.
+    pub preset: Option<String>,
     /// Whether the paper gave it as many primitives as DP-GES has.
     #[serde(default)]
     pub matches: bool,
@@ -68,19 +68,7 @@ pub struct MethodEntry {
     /// SSIM, PSNR (dB) and LPIPS by dataset.
     pub quality: BTreeMap<String, [f64; 3]>,
     /// Of Mip-NeRF360.
-    #[serde(default)]
     pub costs: Option<Costs>,
-}
-
-/// The preset that settings are on top of.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Preset {
-    #[default]
-    None,
-    /// That of the dataset.
-    Dataset,
-    Ges,
 }
 
 /// `key=value` of some scenes.
@@ -129,23 +117,18 @@ pub const DPGES: &str = "dpges";
 #[derive(Debug)]
 pub struct Way {
     pub name: &'static str,
-    preset: Preset,
     /// Of which scenes have which settings.
     method: &'static MethodEntry,
     /// `key=value` on top of the method.
     settings: Vec<String>,
-    is_ablation: bool,
+    /// Whether it is DP-GES without one of its parts.
+    pub is_ablation: bool,
 }
 
 /// All that this program can train: methods, then ablations, each in the order of the tables.
 pub static WAYS: LazyLock<Vec<Way>> = LazyLock::new(|| {
-    let whole = |method: &'static MethodEntry| Way {
-        name: &method.name,
-        preset: method.preset,
-        method,
-        settings: Vec::new(),
-        is_ablation: false,
-    };
+    let whole =
+        |method: &'static MethodEntry| Way { name: &method.name, method, settings: Vec::new(), is_ablation: false };
     let dpges = PUBLISHED.methods.iter().find(|method| method.name == DPGES).expect("the method of the paper");
     let ablated = |ablation: &'static AblationEntry| {
         let variant = ablate::VARIANTS.iter().find(|variant| variant.label == ablation.variant);
@@ -158,12 +141,10 @@ pub static WAYS: LazyLock<Vec<Way>> = LazyLock::new(|| {
 });
 
 impl Published {
-    /// Of datasets.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.datasets.iter().map(|dataset| &dataset.name[..])
     }
 
-    /// The dataset that is called `name`.
     pub fn dataset(&self, name: &str) -> Option<&DatasetEntry> {
         self.datasets.iter().find(|dataset| dataset.name == name)
     }
@@ -174,18 +155,12 @@ impl DatasetEntry {
         self.groups.iter().flat_map(|group| group.scenes.iter().map(String::as_str))
     }
 
-    /// The group of `scene`.
     pub fn group(&self, scene: &str) -> Option<&Group> {
         self.groups.iter().find(|group| group.scenes.iter().any(|other| other == scene))
     }
 }
 
 impl Way {
-    /// Whether it is DP-GES without one of its parts.
-    pub fn is_ablation(&self) -> bool {
-        self.is_ablation
-    }
-
     /// Whether it is trained on `dataset`.
     pub fn is_of(&self, dataset: &DatasetEntry) -> bool {
         !self.is_ablation || dataset.name == MIPNERF360
@@ -193,11 +168,8 @@ impl Way {
 
     /// The preset for a scene of `dataset`.
     pub fn preset<'a>(&self, dataset: &'a DatasetEntry) -> Option<&'a str> {
-        match self.preset {
-            Preset::None => None,
-            Preset::Dataset => Some(&dataset.name),
-            Preset::Ges => Some("ges"),
-        }
+        let preset = self.method.preset.as_deref()?;
+        Some(if preset == "dataset" { &dataset.name } else { preset })
     }
 
     /// `key=value` for `scene` of `dataset`. With `own_caps` a method that matches DP-GES in the paper has as many primitives
@@ -265,7 +237,7 @@ mod tests {
         for known in ["3dgs", "mcmc", "dbs", "ges", "dpges", "layers-2", "base-mcmc"] {
             assert!(names.contains(&known), "{known}: {names:?}");
         }
-        assert_eq!(WAYS.iter().filter(|way| way.is_ablation()).count(), 11);
+        assert_eq!(WAYS.iter().filter(|way| way.is_ablation).count(), 11);
     }
 
     #[test]

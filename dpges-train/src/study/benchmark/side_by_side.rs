@@ -9,19 +9,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use super::super::{Result, StudyError};
-use super::{Benchmark, LOG, Planned};
+use super::{Benchmark, LOG, Planned, Request};
 use crate::device::DeviceRequest;
 use crate::run::child::FOR_ANOTHER;
 
 /// Lines of the log of a failed cell that are repeated.
 const LAST_LINES: usize = 3;
-
-/// A cell that ended with an error, and why.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Failed {
-    pub cell: String,
-    pub reason: String,
-}
 
 impl Benchmark {
     /// Arguments of the program for one cell on `device`.
@@ -34,10 +27,10 @@ impl Benchmark {
     /// Arguments of the program that all cells have in common, and the tables.
     pub(super) fn common_arguments(&self) -> Vec<OsString> {
         let mut arguments: Vec<OsString> = ["benchmark", "--data"].map(OsString::from).into();
-        arguments.push(self.data.clone().into());
-        arguments.extend([OsString::from("--out"), self.out.clone().into()]);
-        let lpips = self.lpips.iter().map(|choice| format!("--lpips={choice}"));
-        arguments.extend(self.protocol.arguments().into_iter().chain(lpips).map(OsString::from));
+        let Request { data, out, protocol, lpips, .. } = &self.request;
+        arguments.extend([data.into(), OsString::from("--out"), out.into()]);
+        let lpips = lpips.iter().map(|choice| format!("--lpips={choice}"));
+        arguments.extend(protocol.arguments().into_iter().chain(lpips).map(OsString::from));
         arguments
     }
 
@@ -61,8 +54,8 @@ impl Benchmark {
                 command.args(self.arguments(planned, device));
                 let result = self.work(planned, device, command);
                 if let Some(reason) = result.err().filter(|_| !interrupted.load(Ordering::SeqCst)) {
-                    tracing::error!("{}: {reason}", planned.name());
-                    let failure = Failed { cell: planned.name(), reason };
+                    let failure = format!("{}: {reason}", planned.name());
+                    tracing::error!("{failure}");
                     failed.lock().expect("no thread panics with it").push(failure);
                 }
             }
@@ -77,8 +70,7 @@ impl Benchmark {
         if failed.is_empty() {
             return Ok(());
         }
-        let reasons: Vec<String> = failed.iter().map(|failed| format!("{}: {}", failed.cell, failed.reason)).collect();
-        Err(StudyError::Cells { failed: failed.len(), all, reasons: reasons.join("\n") })
+        Err(StudyError::Cells { failed: failed.len(), all, reasons: failed.join("\n") })
     }
 
     /// Waits for `command`, which works on a cell.
@@ -108,7 +100,6 @@ impl Benchmark {
     }
 }
 
-/// The last lines of a log, in one.
 fn last_lines(log: &str) -> String {
     let lines: Vec<&str> = log.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
     lines[lines.len().saturating_sub(LAST_LINES)..].join(" ")
@@ -116,28 +107,17 @@ fn last_lines(log: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
-    use super::super::Request;
+    use super::super::protocol::Protocol;
+    use super::super::tests::{benchmark, data};
     use super::*;
-    use crate::metrics::lpips::choice::Choice;
-
-    fn benchmark(data: &Path) -> Benchmark {
-        for path in ["tandt/truck/sparse", "tandt/truck/images"] {
-            std::fs::create_dir_all(data.join(path)).unwrap();
-        }
-        let (methods, lpips) = (vec!["mcmc".to_owned(), "dpges".to_owned()], vec![Choice::None]);
-        let (data, out) = (data.to_owned(), data.join("out"));
-        Benchmark::find(Request { data, out, methods, lpips, ..Request::default() }).unwrap()
-    }
 
     #[test]
     fn a_process_gets_its_cell_its_device_and_the_protocol() {
-        let data = tempfile::tempdir().unwrap();
-        let all = benchmark(data.path());
+        let data = data();
+        let all = benchmark(data.path(), &["mcmc"], Protocol::default());
         let arguments = all.arguments(&all.planned()[0], "wgpu:1");
         let text: Vec<&str> = arguments.iter().map(|argument| argument.to_str().unwrap()).collect();
-        let (data, out) = (all.data.to_str().unwrap(), all.out.to_str().unwrap());
+        let (data, out) = (all.request.data.to_str().unwrap(), all.request.out.to_str().unwrap());
         let expected = [
             "benchmark",
             "--data",
@@ -148,7 +128,7 @@ mod tests {
             "--seeds=1",
             "--lpips=none",
             "--devices=wgpu:1",
-            "--cell=tanks-and-temples/truck/mcmc/seed_0",
+            "--cell=mipnerf360/garden/mcmc/seed_0",
         ];
         assert_eq!(text, expected);
     }
@@ -156,8 +136,8 @@ mod tests {
     #[cfg(unix)]
     #[test]
     fn failures_say_what_the_log_ends_with() {
-        let data = tempfile::tempdir().unwrap();
-        let all = benchmark(data.path());
+        let data = data();
+        let all = benchmark(data.path(), &["mcmc"], Protocol::default());
         let planned = &all.planned()[0];
         let shell = |script: &str| {
             let mut command = Command::new("sh");

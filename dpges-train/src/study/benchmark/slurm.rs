@@ -2,13 +2,11 @@
 
 use std::ffi::OsString;
 use std::fmt::Write as _;
-use std::io::Write as _;
 use std::path::Path;
 
-use dpges_core::scene::atomic::write_atomically;
-
 use super::super::Result;
-use super::Benchmark;
+use super::super::store::write_texts;
+use super::{Benchmark, Planned};
 use crate::device::DeviceRequest;
 use crate::run::shell::quoted;
 
@@ -16,9 +14,6 @@ impl Benchmark {
     /// Writes into `folder`: `cells.txt`, the cells that are not done; `cells.sbatch`, an array of jobs, one for each, with the
     /// command that this program runs for a cell on `device`; `tables.sbatch`, which writes the tables; and `submit.sh`, which
     /// submits the second to follow the first. Returns the paths, one a line.
-    ///
-    /// # Errors
-    /// If a file cannot be written.
     pub fn write_slurm(&self, folder: &Path, device: DeviceRequest) -> Result<String> {
         std::fs::create_dir_all(folder)?;
         let folder = std::path::absolute(folder)?;
@@ -41,9 +36,8 @@ impl Benchmark {
         _ = writeln!(array, "cell=$(sed -n \"$((SLURM_ARRAY_TASK_ID + 1))p\" {place}/cells.txt)");
         array += &common(&format!("--devices={} --cell=\"$cell\"\n", device));
         let head = "#!/bin/bash\n#SBATCH --job-name=dpges-tables\n#SBATCH --output=tables.log\n";
-        let methods: Vec<&str> = self.methods();
-        let scenes: Vec<&str> = self.scenes();
-        let chosen = format!("--methods={} --scenes={} --tables\n", methods.join(","), scenes.join(","));
+        let (methods, scenes) = (self.names(|planned| planned.way.name), self.names(|planned| planned.scene.name));
+        let chosen = format!("--methods={methods} --scenes={scenes} --tables\n");
         let tables = format!("{head}{enter}{}", common(&chosen));
         let jobs = match cells.len() {
             0 => "sbatch tables.sbatch\n",
@@ -51,37 +45,19 @@ impl Benchmark {
         };
         let submit = format!("#!/bin/bash\nset -euo pipefail\ncd {place}\n{jobs}");
         let list: String = cells.iter().map(|cell| cell.name() + "\n").collect();
-        let mut paths = String::new();
-        for (name, text) in
-            [("cells.txt", list), ("cells.sbatch", array), ("tables.sbatch", tables), ("submit.sh", submit)]
-        {
-            let path = folder.join(name);
-            write_atomically(&path, |file| file.write_all(text.as_bytes()))?;
-            _ = writeln!(paths, "{}", path.display());
-        }
-        Ok(paths)
+        let files = [("cells.txt", list), ("cells.sbatch", array), ("tables.sbatch", tables), ("submit.sh", submit)];
+        write_texts(&folder, files)
     }
 
-    /// Names of the planned methods, without repetitions.
-    fn methods(&self) -> Vec<&'static str> {
+    /// Names of what is planned, without repetitions, with commas in between.
+    fn names(&self, of: fn(&Planned) -> &'static str) -> String {
         let mut names = Vec::new();
-        for planned in &self.planned {
-            if !names.contains(&planned.way.name) {
-                names.push(planned.way.name);
+        for name in self.planned.iter().map(of) {
+            if !names.contains(&name) {
+                names.push(name);
             }
         }
-        names
-    }
-
-    /// Likewise.
-    fn scenes(&self) -> Vec<&'static str> {
-        let mut names = Vec::new();
-        for planned in &self.planned {
-            if !names.contains(&planned.scene.name) {
-                names.push(planned.scene.name);
-            }
-        }
-        names
+        names.join(",")
     }
 }
 
@@ -89,20 +65,18 @@ impl Benchmark {
 mod tests {
     use super::super::Request;
     use super::super::protocol::Protocol;
+    use super::super::tests::{made, request};
     use super::*;
     use crate::metrics::lpips::choice::Choice;
 
     #[test]
     fn jobs_are_an_array_of_cells_and_the_tables_after_it() {
-        let data = tempfile::tempdir().unwrap();
-        for path in ["my data/tandt/truck/sparse", "my data/tandt/truck/images"] {
-            std::fs::create_dir_all(data.path().join(path)).unwrap();
-        }
-        let (methods, lpips) = (vec!["mcmc".to_owned(), "dpges".to_owned()], vec![Choice::File("vgg net".into())]);
-        let protocol = Protocol { steps_scale: 0.5, ..Protocol::default() };
+        let data = made(&["my data/tandt/truck/sparse", "my data/tandt/truck/images"]);
         let root = data.path().join("my data");
-        let request = Request { data: root.clone(), out: "out".into(), methods, protocol, lpips, ..Request::default() };
-        let all = Benchmark::find(request).unwrap();
+        let protocol = Protocol { steps_scale: 0.5, ..Protocol::default() };
+        let request = request(&root, &["mcmc", "dpges"], protocol);
+        let lpips = vec![Choice::File("vgg net".into())];
+        let all = Benchmark::find(Request { out: "out".into(), lpips, ..request }).unwrap();
         let jobs = data.path().join("jobs");
         let paths = all.write_slurm(&jobs, DeviceRequest::Auto).unwrap();
         assert_eq!(paths.lines().count(), 4);

@@ -5,9 +5,8 @@ use std::collections::BTreeMap;
 use super::super::row::Row;
 use super::measure::LPIPS;
 use super::protocol::Protocol;
-use super::published::{DPGES, DatasetEntry, MIPNERF360, MethodEntry, PUBLISHED, WAYS};
+use super::published::{DatasetEntry, MIPNERF360, MethodEntry, PUBLISHED, WAYS};
 
-/// The GPU of the published times.
 const PUBLISHED_ON: &str = "4090";
 
 /// Why a number cannot be compared with the published one.
@@ -44,7 +43,6 @@ impl Mark {
     }
 }
 
-/// A column of a table.
 #[derive(Clone, Copy, Debug)]
 pub struct Column {
     pub dataset: &'static DatasetEntry,
@@ -102,80 +100,65 @@ pub struct Order {
     pub agreeing: usize,
 }
 
-/// All tables of a benchmark.
 #[derive(Debug)]
 pub struct Tables {
     pub tables: Vec<Table>,
-    /// Of single scenes: table 0, a line for each method and scene, named `METHOD on SCENE`.
+    /// A line for each method and scene.
     pub scenes: Vec<SceneLine>,
 }
 
 /// A method on one scene: means over seeds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneLine {
-    pub method: String,
+    pub method: &'static str,
     pub scene: String,
-    pub seeds: usize,
     /// By title of the measure.
     pub values: Vec<(&'static str, f64)>,
 }
 
-const QUALITY: [(&str, &str, usize, bool); 3] =
-    [("SSIM", "ssim", 3, true), ("PSNR", "psnr", 2, true), ("LPIPS", LPIPS, 3, false)];
+/// Columns of the quality of pictures among those of a dataset.
+const OF_QUALITY: usize = 3;
 
-/// Title, key, scale, digits, whether more is better.
-const COSTS: [(&str, &str, f64, usize, bool); 5] = [
-    ("FPS", "frames_per_second", 1.0, 0, true),
-    ("MB", "bytes", 1e-6, 1, false),
-    ("min", "training_seconds", 1.0 / 60.0, 1, false),
-    ("FLIP_1", "flip_1", 1.0, 4, false),
-    ("FLIP_7", "flip_7", 1.0, 4, false),
-];
-
-fn quality_columns(dataset: &'static DatasetEntry) -> impl Iterator<Item = Column> {
-    let published: [fn(&MethodEntry, &DatasetEntry) -> Option<f64>; 3] = [
-        |method, dataset| Some(method.quality.get(&dataset.name)?[0]),
-        |method, dataset| Some(method.quality.get(&dataset.name)?[1]),
-        |method, dataset| Some(method.quality.get(&dataset.name)?[2]),
-    ];
-    QUALITY.into_iter().zip(published).map(move |((title, key, digits, is_better_if_more), published)| Column {
+/// The columns of `dataset`: those of quality, then those of costs.
+fn columns(dataset: &'static DatasetEntry) -> [Column; 8] {
+    let column = |title, key, digits, published: fn(&MethodEntry, &DatasetEntry) -> Option<f64>| Column {
         dataset,
         title,
         key,
         scale: 1.0,
         digits,
         published_digits: digits,
-        is_better_if_more,
+        is_better_if_more: false,
         mark: None,
         published,
-    })
-}
-
-fn cost_columns(dataset: &'static DatasetEntry) -> impl Iterator<Item = Column> {
-    let published: [fn(&MethodEntry, &DatasetEntry) -> Option<f64>; 5] = [
-        |method, _| Some(method.costs.as_ref()?.frames_per_second),
-        |method, _| Some(method.costs.as_ref()?.megabytes),
-        |method, _| Some(method.costs.as_ref()?.minutes),
-        |method, _| Some(method.costs.as_ref()?.flip_1),
-        |method, _| Some(method.costs.as_ref()?.flip_7),
-    ];
-    COSTS.into_iter().zip(published).map(move |((title, key, scale, digits, is_better_if_more), published)| {
-        let mark = match title {
-            "FPS" | "min" => Some(Mark::Device),
-            "FLIP_1" | "FLIP_7" => Some(Mark::Motion),
-            _ => None,
-        };
-        // the paper has whole numbers but for FLIP
-        let published_digits = if mark == Some(Mark::Motion) { digits } else { 0 };
-        Column { dataset, title, key, scale, digits, published_digits, is_better_if_more, mark, published }
-    })
+    };
+    let more = |column: Column| Column { is_better_if_more: true, ..column };
+    // the paper has whole numbers of costs but for FLIP
+    let whole = |column: Column, scale, mark| Column { scale, published_digits: 0, mark, ..column };
+    let moved = |column: Column| Column { mark: Some(Mark::Motion), ..column };
+    let frames = more(column("FPS", "frames_per_second", 0, |of, _| Some(of.costs.as_ref()?.frames_per_second)));
+    let megabytes = column("MB", "bytes", 1, |of, _| Some(of.costs.as_ref()?.megabytes));
+    let minutes = column("min", "training_seconds", 1, |of, _| Some(of.costs.as_ref()?.minutes));
+    [
+        more(column("SSIM", "ssim", 3, |of, dataset| Some(of.quality.get(&dataset.name)?[0]))),
+        more(column("PSNR", "psnr", 2, |of, dataset| Some(of.quality.get(&dataset.name)?[1]))),
+        column("LPIPS", LPIPS, 3, |of, dataset| Some(of.quality.get(&dataset.name)?[2])),
+        whole(frames, 1.0, Some(Mark::Device)),
+        whole(megabytes, 1e-6, None),
+        whole(minutes, 1.0 / 60.0, Some(Mark::Device)),
+        moved(column("FLIP_1", "flip_1", 4, |of, _| Some(of.costs.as_ref()?.flip_1))),
+        moved(column("FLIP_7", "flip_7", 4, |of, _| Some(of.costs.as_ref()?.flip_7))),
+    ]
 }
 
 impl Tables {
     /// Of `rows`, which were measured by `protocol`.
     pub fn of(rows: &[Row], protocol: &Protocol) -> Self {
         let mip = PUBLISHED.dataset(MIPNERF360).expect("a dataset of the paper");
-        let quality: Vec<Column> = PUBLISHED.datasets.iter().flat_map(quality_columns).collect();
+        let quality: Vec<Column> =
+            PUBLISHED.datasets.iter().flat_map(|dataset| columns(dataset).into_iter().take(OF_QUALITY)).collect();
+        let costs = columns(mip)[OF_QUALITY..].to_vec();
+        let of_ablations = columns(mip)[..=OF_QUALITY].to_vec();
         let of_methods = |columns: &[Column]| -> Vec<Line> {
             let line = |method: &'static MethodEntry| {
                 let published = |column: &Column| (column.published)(method, column.dataset);
@@ -185,8 +168,6 @@ impl Tables {
             let has_any = |line: &Line| line.entries.iter().any(|entry| entry.published.or(entry.found).is_some());
             PUBLISHED.methods.iter().map(line).filter(has_any).collect()
         };
-        let costs: Vec<Column> = cost_columns(mip).collect();
-        let of_ablations: Vec<Column> = quality_columns(mip).chain(cost_columns(mip).take(1)).collect();
         let ablations = PUBLISHED.ablations.iter().map(|ablation| {
             let numbers = [&ablation.quality[..], &[ablation.frames_per_second]].concat();
             let published = |column: &Column| {
@@ -195,15 +176,11 @@ impl Tables {
             };
             line(rows, protocol, (&ablation.name, &ablation.title), &of_ablations, false, published)
         });
+        let ablations = ablations.collect();
         let tables = vec![
             Table { number: 1, title: "Image quality", lines: of_methods(&quality), columns: quality },
             Table { number: 2, title: "Costs and popping, Mip-NeRF360", lines: of_methods(&costs), columns: costs },
-            Table {
-                number: 3,
-                title: "Ablations of DP-GES, Mip-NeRF360",
-                lines: ablations.collect(),
-                columns: of_ablations.clone(),
-            },
+            Table { number: 3, title: "Ablations of DP-GES, Mip-NeRF360", lines: ablations, columns: of_ablations },
         ];
         Self { tables, scenes: scene_lines(rows) }
     }
@@ -282,14 +259,12 @@ fn scene_lines(rows: &[Row]) -> Vec<SceneLine> {
             if rows.is_empty() {
                 continue;
             }
-            let mean = |key: &str, scale: f64| {
-                let values: Option<Vec<f64>> = rows.iter().map(|row| row.get(key)).collect();
-                values.map(|values| scale * values.iter().sum::<f64>() / values.len() as f64)
+            let mean = |Column { title, key, scale, .. }| {
+                let values: Vec<f64> = rows.iter().map(|row| row.get(key)).collect::<Option<_>>()?;
+                Some((title, scale * values.iter().sum::<f64>() / values.len() as f64))
             };
-            let quality = QUALITY.iter().filter_map(|(title, key, ..)| Some((*title, mean(key, 1.0)?)));
-            let costs = COSTS.iter().filter_map(|(title, key, scale, ..)| Some((*title, mean(key, *scale)?)));
-            let values = quality.chain(costs).collect();
-            lines.push(SceneLine { method: way.name.to_owned(), scene, seeds: rows.len(), values });
+            let values = columns(dataset).into_iter().filter_map(mean).collect();
+            lines.push(SceneLine { method: way.name, scene, values });
         }
     }
     lines
@@ -320,15 +295,9 @@ impl Table {
     }
 }
 
-impl Line {
-    /// Whether it is the method of the paper.
-    pub fn is_dpges(&self) -> bool {
-        self.name == DPGES
-    }
-}
-
 #[cfg(test)]
 pub mod tests {
+    use super::super::published::DPGES;
     use super::*;
 
     /// A row of full size and of an RTX 4090, so that nothing but what is missing is marked.
@@ -375,8 +344,7 @@ pub mod tests {
         assert_eq!(costs, [Some(100.0), Some(2.5), Some(1.5)]);
         assert_eq!(tables.tables[0].lines.len(), 11);
         assert!(tables.tables[1].lines.iter().all(|line| line.name != "mip-splatting"), "it has no costs in the paper");
-        assert_eq!((tables.scenes.len(), tables.scenes[1].seeds), (3, 2));
-        assert_eq!(tables.scenes[1].values[0], ("PSNR", 21.0));
+        assert_eq!((tables.scenes.len(), tables.scenes[1].values[0]), (3, ("PSNR", 21.0)));
     }
 
     #[test]
@@ -440,6 +408,6 @@ pub mod tests {
         let lpips = order("LPIPS").unwrap();
         assert_eq!((lpips.found, lpips.agreeing), (vec!["3DGS", "DBS", "3DGS-MCMC"], 1));
         assert_eq!(order("SSIM"), None);
-        assert!(table.lines.last().unwrap().is_dpges());
+        assert_eq!(table.lines.last().unwrap().name, DPGES);
     }
 }

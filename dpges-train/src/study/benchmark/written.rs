@@ -1,47 +1,35 @@
 //! The tables as Markdown, CSV and LaTeX.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
-
-use dpges_core::scene::atomic::write_atomically;
 
 use super::super::Result;
-use super::super::store::Study;
+use super::super::store::{Study, write_texts};
+use super::super::table::aligned;
 use super::protocol::Protocol;
-use super::tables::{Column, Entry, Mark, Order, Table, Tables};
+use super::published::DPGES;
+use super::tables::{Column, Entry, Line, Mark, Order, Table, Tables};
 
 /// Writes `tables.md`, `tables.csv` and `tables.tex` into the folder of `study`. Returns the tables in Markdown, and the paths,
 /// one a line.
-///
-/// # Errors
-/// If a file cannot be written.
 pub fn write(tables: &Tables, study: &Study, protocol: &Protocol) -> Result<(String, String)> {
     let sentences = sentences(tables, study, protocol);
     let markdown = markdown(tables, &sentences);
-    let mut paths = String::new();
-    for (name, text) in [("md", &markdown), ("csv", &csv(tables)), ("tex", &latex(tables, &sentences))] {
-        let path = study.folder.join(format!("tables.{name}"));
-        write_atomically(&path, |file| file.write_all(text.as_bytes()))?;
-        _ = writeln!(paths, "{}", path.display());
-    }
-    Ok((markdown, paths))
+    let files =
+        [("tables.md", markdown.clone()), ("tables.csv", csv(tables)), ("tables.tex", latex(tables, &sentences))];
+    Ok((markdown, write_texts(&study.folder, files)?))
 }
 
 /// Sentences that hold for all tables.
 fn sentences(tables: &Tables, study: &Study, protocol: &Protocol) -> Vec<String> {
-    let mut seeds: Vec<u64> = study.content.rows.iter().filter_map(|row| row.seed).collect();
-    seeds.sort_unstable();
-    seeds.dedup();
-    let seeds = seeds.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
     let mut sentences = vec![
         "Each number is followed by the published one in parentheses.".to_owned(),
-        format!("Means over scenes; of each scene over seeds {seeds}."),
+        format!("Means over scenes; of each scene over seeds {}.", study.content.seeds().join(", ")),
     ];
     if protocol.steps_scale != 1.0 {
         sentences.push(format!("Every method has {} of its published steps.", protocol.steps_scale));
     }
     sentences.extend(protocol.max_resolution.map(|px| format!("The longer side of photographs is at most {px} px.")));
-    sentences.extend(protocol.sentences());
+    sentences.extend(protocol.sentences().map(str::to_owned));
     let mut scenes: Vec<&str> = tables.scenes.iter().map(|line| &line.scene[..]).collect();
     scenes.dedup();
     sentences.push(format!("Scenes: {}.", scenes.join(", ")));
@@ -73,7 +61,10 @@ fn markdown(tables: &Tables, sentences: &[String]) -> String {
     sentences.iter().for_each(|sentence| _ = writeln!(text, "- {sentence}"));
     for table in &tables.tables {
         _ = writeln!(text, "\n## Table {}: {}\n", table.number, table.title);
-        text += &markdown_table(table);
+        let title =
+            |line: &Line| if line.name == DPGES { format!("**{}**", line.title) } else { line.title.to_owned() };
+        let lines = cells(table, "method", title, "–", |marks| format!("<sup>{marks}</sup>"));
+        text += &aligned(&lines, false);
         let orders = orders(table);
         if !orders.is_empty() {
             text += "\nOrder, the best first:\n\n";
@@ -83,30 +74,23 @@ fn markdown(tables: &Tables, sentences: &[String]) -> String {
     text
 }
 
-fn markdown_table(table: &Table) -> String {
-    let mut lines = vec![vec!["method".to_owned()]];
-    lines[0].extend(table.columns.iter().map(|column| name(table, column)));
-    for line in &table.lines {
+/// The cells of `table` under a head that begins with `first`. `title` is that of a line, `none` what stands for no number, and
+/// `raised` sets marks.
+fn cells(
+    table: &Table,
+    first: &str,
+    title: impl Fn(&Line) -> String,
+    none: &str,
+    raised: impl Fn(&str) -> String,
+) -> Vec<Vec<String>> {
+    let names = table.columns.iter().map(|column| name(table, column));
+    let head: Vec<String> = std::iter::once(first.to_owned()).chain(names).collect();
+    let line = |line: &Line| -> Vec<String> {
         let entries = line.entries.iter().zip(&table.columns);
-        let raised = |marks: &str| format!("<sup>{marks}</sup>");
-        let title = if line.is_dpges() { format!("**{}**", line.title) } else { line.title.to_owned() };
-        let cells = entries.map(|(entry, column)| text(entry, column, "–", raised));
-        lines.push(std::iter::once(title).chain(cells).collect());
-    }
-    let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0).max(3);
-    let widths: Vec<usize> = (0..lines[0].len()).map(width).collect();
-    let mut written = String::new();
-    for (index, line) in lines.iter().enumerate() {
-        for (cell, width) in line.iter().zip(&widths) {
-            _ = write!(written, "| {cell:width$} ");
-        }
-        written += "|\n";
-        if index == 0 {
-            widths.iter().for_each(|width| _ = write!(written, "|{}", "-".repeat(width + 2)));
-            written += "|\n";
-        }
-    }
-    written
+        let entries = entries.map(|(entry, column)| text(entry, column, none, &raised));
+        std::iter::once(title(line)).chain(entries).collect()
+    };
+    std::iter::once(head).chain(table.lines.iter().map(line)).collect()
 }
 
 /// The orders of all columns in words.
@@ -154,15 +138,12 @@ fn latex(tables: &Tables, sentences: &[String]) -> String {
     for table in &tables.tables {
         _ = writeln!(text, "\n\\begin{{table}}\n\\caption{{{}}}", escaped(table.title));
         _ = writeln!(text, "\\begin{{tabular}}{{l{}}}\n\\hline", "r".repeat(table.columns.len()));
-        let head = table.columns.iter().map(|column| escaped(&name(table, column)));
-        let head: Vec<String> = std::iter::once("Method".to_owned()).chain(head).collect();
-        _ = writeln!(text, "{} \\\\\n\\hline", head.join(" & "));
-        for line in &table.lines {
-            let raised = |marks: &str| format!("\\textsuperscript{{{marks}}}");
-            let entries = line.entries.iter().zip(&table.columns);
-            let cells = entries.map(|(entry, column)| self::text(entry, column, "--", raised));
-            let cells: Vec<String> = std::iter::once(escaped(line.title)).chain(cells).collect();
-            _ = writeln!(text, "{} \\\\", cells.join(" & "));
+        let raised = |marks: &str| format!("\\textsuperscript{{{marks}}}");
+        let mut lines = cells(table, "Method", |line| escaped(line.title), "--", raised);
+        lines[0].iter_mut().for_each(|name| *name = escaped(name));
+        for (index, line) in lines.iter().enumerate() {
+            let rule = if index == 0 { "\\hline\n" } else { "" };
+            _ = write!(text, "{} \\\\\n{rule}", line.join(" & "));
         }
         text += "\\hline\n\\end{tabular}\n";
         let marks = tables.marks();

@@ -17,16 +17,17 @@ use super::knob::Change;
 use crate::dataset::View;
 use crate::eval::compress::Compressed;
 use crate::eval::pictures::save_png;
-use crate::eval::rendered::{Renderer, to_picture};
-use crate::eval::{Measures, ViewScore, score_picture};
+use crate::eval::rendered::{Renderer, scaled, to_picture};
+use crate::eval::{Measures, ViewScore, mean_scores, score_picture};
 use crate::metrics::lpips::Lpips;
-use crate::metrics::{Fitted, Perceptual, Scores};
 use crate::run::scene::in_scene;
 
-/// Folder of the pictures in that of the study.
 pub const PICTURES: &str = "pictures";
 /// Rounds over the cameras that are not counted.
 const WARM_UP: usize = 1;
+
+/// Pictures, times of frames, and memory on the adapter, bytes.
+type Drawn = (Vec<Rgb8Image>, FrameTimes, Option<u64>);
 
 /// Draws scenes from the views of one dataset.
 pub struct Bench<'a> {
@@ -55,9 +56,6 @@ impl Bench<'_> {
     }
 
     /// The row of `scene`, drawn as those of `changes` say that are no part of it. Its first picture is kept.
-    ///
-    /// # Errors
-    /// If the scene cannot be drawn, or the picture not be written.
     pub fn row(&self, scene: &SceneData, changes: &[Change], label: &str, seed: Option<u64>) -> Result<Row> {
         let mut row = Row::new(label, seed);
         row.settings = changes.iter().map(Change::to_string).collect();
@@ -78,7 +76,8 @@ impl Bench<'_> {
             None => (None, file_bytes(scene)?),
         };
         let scene = compressed.as_ref().unwrap_or(scene);
-        let smaller = |camera: Camera| if percent == 100 { camera } else { reduced(&camera, percent) };
+        let smaller =
+            |camera: Camera| if percent == 100 { camera } else { scaled(&camera, f64::from(percent) / 100.0) };
         let cameras: Vec<Camera> =
             self.views.iter().map(|view| in_scene(view.camera, self.offset, &scene.info)).collect();
         let frames: Vec<Camera> = cameras.iter().map(|camera| smaller((self.sized)(camera))).collect();
@@ -95,21 +94,15 @@ impl Bench<'_> {
         let measures = Measures::lpips(self.networks);
         let score = |(view, picture): (&&View, &Rgb8Image)| score_picture(view, picture, 0.0, self.device, measures);
         let scores = self.views.iter().zip(&shown).map(score).collect::<Result<Vec<ViewScore>, _>>()?;
-        let mean = |of: fn(&ViewScore) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
-        row.set_scores(&Scores {
-            psnr: mean(|view| view.psnr),
-            ssim: mean(|view| view.ssim),
-            flip: mean(|view| view.flip),
-            perceptual: Perceptual::mean(&scores.iter().map(|view| view.perceptual).collect::<Vec<_>>()),
-            fitted: Fitted::default(),
-        });
+        let scores = mean_scores(&scores);
+        row.set_scores(&scores);
         row.set("frame_ms", Some(times.p50_ms));
         row.set("frame_p99_ms", Some(times.p99_ms));
         row.set("frames", Some(times.frames as f64));
         row.set("bytes", Some(bytes as f64));
         row.set("gpu_bytes", gpu_bytes.map(|bytes| bytes as f64));
-        let (psnr, megabytes) = (mean(|view| view.psnr), bytes as f64 / 1e6);
-        tracing::info!("{label}: {psnr:.2} dB, {:.2} ms, {megabytes:.2} MB", times.p50_ms);
+        let (psnr, ms, megabytes) = (scores.psnr, times.p50_ms, bytes as f64 / 1e6);
+        tracing::info!("{label}: {psnr:.2} dB, {ms:.2} ms, {megabytes:.2} MB");
         let file = format!("{PICTURES}/{}.png", file_stem(label, seed));
         save_png(&shown[0], &self.folder.join(&file))?;
         row.picture = Some(file);
@@ -127,7 +120,7 @@ impl Bench<'_> {
         cameras: &[Camera],
         frames: &[Camera],
         half_sums: bool,
-    ) -> Result<(Vec<Rgb8Image>, FrameTimes, Option<u64>)> {
+    ) -> Result<Drawn> {
         let mut renderer = headless.renderer_with(half_sums.then_some(Precision::Half))?;
         renderer.upload(scene)?;
         let options = RenderOptions::from(&scene.info);
@@ -137,23 +130,12 @@ impl Bench<'_> {
         Ok((pictures, times, headless.allocated_bytes()))
     }
 
-    fn training(
-        &self,
-        scene: &SceneData,
-        cameras: &[Camera],
-        frames: &[Camera],
-    ) -> Result<(Vec<Rgb8Image>, FrameTimes, Option<u64>)> {
+    fn training(&self, scene: &SceneData, cameras: &[Camera], frames: &[Camera]) -> Result<Drawn> {
         let renderer = Renderer::new(scene, self.device);
         let picture = |camera: &Camera| Ok(to_picture(renderer.render(camera)?.image()));
         let pictures = cameras.iter().map(picture).collect::<Result<_>>()?;
         Ok((pictures, renderer.frame_times(frames, self.counts())?, None))
     }
-}
-
-/// `camera` for a picture whose sides are `percent` of its own, at least 1 px.
-fn reduced(camera: &Camera, percent: u32) -> Camera {
-    let side = |length: usize| ((length as f64 * f64::from(percent) / 100.0).round() as usize).max(1);
-    camera.resized(side(camera.width), side(camera.height))
 }
 
 /// `picture` at a larger size, by a Catmull-Rom filter.
@@ -177,7 +159,6 @@ fn file_stem(label: &str, seed: Option<u64>) -> String {
     words.join("-") + &seed
 }
 
-/// Size of the scene file of `scene`.
 fn file_bytes(scene: &SceneData) -> Result<u64> {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("scene.safetensors");
@@ -190,7 +171,7 @@ mod tests {
     use super::super::knob::tests::scene;
     use super::*;
     use crate::dataset::{BuiltinOptions, builtin};
-    use crate::device::DeviceName;
+    use crate::run::fixtures::device;
 
     #[test]
     fn smaller_pictures_are_compared_at_the_size_of_the_photographs() {
@@ -198,7 +179,7 @@ mod tests {
             BuiltinOptions { width: 20, height: 12, train_views: 1, test_views: 2, points: 0, ..Default::default() };
         let dataset = builtin(&options);
         let (scene, _) = scene();
-        let device = "cpu".parse::<DeviceName>().unwrap().open().unwrap();
+        let device = device();
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join(PICTURES)).unwrap();
         let bench = Bench {
@@ -241,13 +222,14 @@ mod tests {
     }
 
     #[test]
-    fn reduced_cameras_see_the_same() {
+    fn scaled_cameras_see_the_same() {
         let view = builtin(&BuiltinOptions { width: 21, height: 9, train_views: 1, points: 0, ..Default::default() });
         let camera = view.train[0].camera;
-        let small = reduced(&camera, 25);
+        let small = scaled(&camera, 0.25);
         assert_eq!((small.width, small.height), (5, 2));
         assert!((small.cx / 5.0 - camera.cx / 21.0).abs() < 1e-12 && (small.fy / 2.0 - camera.fy / 9.0).abs() < 1e-12);
-        assert_eq!((reduced(&camera, 1).width, reduced(&camera, 1).height), (1, 1));
+        let smallest = scaled(&camera, 0.01);
+        assert_eq!((smallest.width, smallest.height), (1, 1));
     }
 
     #[test]

@@ -20,16 +20,15 @@ pub static SHAPE: Shape = Shape { name: "trade", title: "Speed and accuracy", li
 
 /// The configuration itself, then every value of every knob of training that changes it and `is_wanted`.
 pub fn variants(config: &Config, dataset: &Dataset, is_wanted: &dyn Fn(&str) -> bool) -> Vec<Variant> {
-    let mut all = vec![Variant::new("trained-again", "", &[])];
-    let mut add = |label, knob, settings: &[(&str, String)]| {
+    let mut all = vec![Variant::new("trained-again", "", vec![])];
+    let mut add = |label, knob, settings| {
         if is_wanted(knob) {
-            let settings: Vec<String> = settings.iter().map(|(key, value)| format!("{key}={value}")).collect();
-            all.push(Variant::new(label, knob, &settings.iter().map(String::as_str).collect::<Vec<_>>()));
+            all.push(Variant::new(label, knob, settings));
         }
     };
     let primitives = budget(config, dataset);
     for (label, parts) in [("budget-half", 2), ("budget-quarter", 4)] {
-        add(label, "budget", &[("refine.budget", (primitives / parts).max(1).to_string())]);
+        add(label, "budget", vec![format!("refine.budget={}", (primitives / parts).max(1))]);
     }
     let model = config.model.colour;
     for (label, detail) in [("detail-1", 1), ("detail-0", 0)] {
@@ -40,36 +39,38 @@ pub fn variants(config: &Config, dataset: &Dataset, is_wanted: &dyn Fn(&str) -> 
             }
         };
         if detail < detail_of(model) {
-            add(label, "detail", &[("model.colour", less.to_string())]);
+            add(label, "detail", vec![format!("model.colour={less}")]);
         }
     }
     let other = match model {
-        ColourModel::SphericalBeta { .. } => ("colour-sh3", "sh3"),
-        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => ("colour-sb2", "sb2"),
+        ColourModel::SphericalBeta { .. } => ("colour-sh3", "model.colour=sh3"),
+        ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
+            ("colour-sb2", "model.colour=sb2")
+        }
     };
     // its opacities depend on the direction as its colours do, by harmonics
     if config.train.method != Method::SortFree {
-        add(other.0, "colour", &[("model.colour", other.1.to_owned())]);
+        add(other.0, "colour", vec![other.1.to_owned()]);
     }
     if config.train.method == Method::Dpges {
         for (label, layers) in [("layers-1", 1), ("layers-2", 2), ("layers-4", 4)] {
             // rims fade into what a second layer shows: without one they have to be hard
             let modulation = config.model.modulation.max(if layers == 1 { HARD_RIM } else { 0.0 });
             if layers != config.model.layers {
-                let settings = [("model.layers", layers.to_string()), ("model.modulation", modulation.to_string())];
-                add(label, "layers", &settings);
+                let settings = [format!("model.layers={layers}"), format!("model.modulation={modulation}")];
+                add(label, "layers", settings.into());
             }
         }
-        add("method-mcmc", "method", &[("train.method", "mcmc".to_owned())]);
+        add("method-mcmc", "method", vec!["train.method=mcmc".to_owned()]);
     }
     let longest = dataset.train.iter().map(|view| view.camera.width.max(view.camera.height)).max().unwrap_or(0);
     if longest > 1 {
-        add("resolution-half", "resolution", &[("data.max_resolution", (longest / 2).to_string())]);
+        add("resolution-half", "resolution", vec![format!("data.max_resolution={}", longest / 2)]);
     }
     for (label, parts) in [("steps-half", 2), ("steps-quarter", 4)] {
-        add(label, "steps", &[("train.steps", (config.train.steps / parts).max(1).to_string())]);
+        add(label, "steps", vec![format!("train.steps={}", (config.train.steps / parts).max(1))]);
     }
-    add("steps-double", "steps", &[("train.steps", (2 * config.train.steps).to_string())]);
+    add("steps-double", "steps", vec![format!("train.steps={}", 2 * config.train.steps)]);
     all
 }
 
@@ -82,14 +83,8 @@ mod tests {
     use crate::dataset::{BuiltinOptions, builtin};
 
     fn dataset() -> Dataset {
-        builtin(&BuiltinOptions {
-            width: 20,
-            height: 12,
-            train_views: 2,
-            test_views: 1,
-            points: 10,
-            ..Default::default()
-        })
+        let (width, height, train_views, test_views, points) = (20, 12, 2, 1, 10);
+        builtin(&BuiltinOptions { width, height, train_views, test_views, points, ..Default::default() })
     }
 
     #[test]

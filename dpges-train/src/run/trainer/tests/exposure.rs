@@ -18,7 +18,7 @@ fn exposures_are_found_and_compensated() {
         let trainer = trained(&set, changed.clone());
         let scene = trainer.scene();
         let renderer = Renderer::new(&scene, &device());
-        let measures = Measures::BASIC.fitted(true);
+        let measures = Measures { fitted: true, ..Measures::BASIC };
         let evaluation: dpges_core::Result<Evaluation> =
             evaluate_each(&renderer, &scene, &changed.test, &device(), measures, |_, _| Ok(()));
         (evaluation.unwrap().fitted.psnr_fitted.unwrap(), trainer.view_corrections().exposure)
