@@ -25,7 +25,7 @@ const DARK: f64 = 0.005;
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewFacts {
     pub name: String,
-    pub split: Split,
+    pub role: Split,
     /// Its pose, size and focal lengths; in JSON the camera centre, width, height and focal lengths.
     #[serde(flatten, serialize_with = "in_short")]
     pub camera: Camera,
