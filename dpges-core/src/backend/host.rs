@@ -125,14 +125,3 @@ macro_rules! with_real {
     };
 }
 pub(crate) use with_real;
-
-/// Implements an operation for every CPU backend whose feature is enabled.
-macro_rules! for_each_cpu_backend {
-    ($implement:ident) => {
-        #[cfg(feature = "ndarray")]
-        $implement!(burn::backend::NdArray);
-        #[cfg(feature = "flex")]
-        $implement!(burn::backend::Flex);
-    };
-}
-pub(crate) use for_each_cpu_backend;

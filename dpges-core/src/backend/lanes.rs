@@ -3,16 +3,9 @@
 
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 
-use pulp::{Simd, WithSimd};
+use pulp::Simd;
 
 use super::real::Real;
-
-/// Runs `kernel` with the widest vector instructions of this machine. Everything it calls must be `#[inline(always)]` to
-/// profit.
-#[inline]
-pub fn with_lanes<K: WithSimd>(kernel: K) -> K::Output {
-    pulp::Arch::new().dispatch(kernel)
-}
 
 /// As many numbers as a vector instruction of `S` processes.
 #[derive(Clone, Copy)]
@@ -145,41 +138,24 @@ impl<T: Real, S: Simd> Mask<T, S> {
     }
 }
 
-impl<T: Real, S: Simd> Add for Lanes<T, S> {
-    type Output = Self;
+macro_rules! operator {
+    ($operator:ident, $function:ident, $of:ident, $instruction:ident) => {
+        impl<T: Real, S: Simd> $operator for $of<T, S> {
+            type Output = Self;
 
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        Self { of: T::add_lanes(self.simd, self.of, other.of), ..self }
-    }
+            #[inline(always)]
+            fn $function(self, other: Self) -> Self {
+                Self { of: T::$instruction(self.simd, self.of, other.of), ..self }
+            }
+        }
+    };
 }
-
-impl<T: Real, S: Simd> Sub for Lanes<T, S> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        Self { of: T::sub_lanes(self.simd, self.of, other.of), ..self }
-    }
-}
-
-impl<T: Real, S: Simd> Mul for Lanes<T, S> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        Self { of: T::mul_lanes(self.simd, self.of, other.of), ..self }
-    }
-}
-
-impl<T: Real, S: Simd> Div for Lanes<T, S> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        Self { of: T::div_lanes(self.simd, self.of, other.of), ..self }
-    }
-}
+operator!(Add, add, Lanes, add_lanes);
+operator!(Sub, sub, Lanes, sub_lanes);
+operator!(Mul, mul, Lanes, mul_lanes);
+operator!(Div, div, Lanes, div_lanes);
+operator!(BitAnd, bitand, Mask, both_lanes);
+operator!(BitOr, bitor, Mask, either_lanes);
 
 impl<T: Real, S: Simd> Neg for Lanes<T, S> {
     type Output = Self;
@@ -190,57 +166,47 @@ impl<T: Real, S: Simd> Neg for Lanes<T, S> {
     }
 }
 
-impl<T: Real, S: Simd> BitAnd for Mask<T, S> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn bitand(self, other: Self) -> Self {
-        Self { of: T::both_lanes(self.simd, self.of, other.of), ..self }
-    }
-}
-
-impl<T: Real, S: Simd> BitOr for Mask<T, S> {
-    type Output = Self;
-
-    #[inline(always)]
-    fn bitor(self, other: Self) -> Self {
-        Self { of: T::either_lanes(self.simd, self.of, other.of), ..self }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use pulp::WithSimd;
+
     use super::*;
+    use crate::backend::simd::vectorised;
     use crate::backend::vectors::MOST;
 
-    /// Exponentials of the numbers, by lanes.
-    struct Exponentials<'a, T>(&'a mut [T]);
+    /// Replaces numbers by their exponentials or by the logarithms of 1 and them, by lanes.
+    struct Functions<'a, T, const LOGARITHM: bool>(&'a mut [T]);
 
-    impl<T: Real> WithSimd for Exponentials<'_, T> {
+    impl<T: Real, const LOGARITHM: bool> WithSimd for Functions<'_, T, LOGARITHM> {
         type Output = ();
 
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) {
             for values in self.0.chunks_exact_mut(T::lane_count::<S>()) {
-                Lanes::load(simd, values).exp_nonpositive().store(values);
+                let of = Lanes::load(simd, values);
+                if LOGARITHM { of.ln_1p_share() } else { of.exp_nonpositive() }.store(values);
             }
         }
     }
 
     #[test]
-    fn exponentials_are_those_of_single_numbers() {
+    fn exponentials_by_lanes_and_of_single_numbers_are_accurate_and_vanish_far_below() {
         let arguments: Vec<f32> = (0..200_000).map(|step| -(step as f32) * 1e-4).collect();
         let mut found = arguments.clone();
-        with_lanes(Exponentials(&mut found));
+        vectorised(Functions::<_, false>(&mut found));
         for (argument, found) in arguments.into_iter().zip(found) {
             let exact = f64::from(argument).exp();
-            assert!((f64::from(found) - exact).abs() < 2.5e-7 * exact, "exp({argument}) is {found}, not {exact}");
+            for found in [found, argument.exp_nonpositive()] {
+                assert!((f64::from(found) - exact).abs() < 2.5e-7 * exact, "exp({argument}) is {found}, not {exact}");
+            }
         }
+        assert_eq!(0f32.exp_nonpositive(), 1.0);
         let mut far = [f32::NEG_INFINITY, -1e30, -200.0, f32::NAN].repeat(4);
-        with_lanes(Exponentials(&mut far));
+        assert!(far.iter().all(|value| value.exp_nonpositive() < 1e-37));
+        vectorised(Functions::<_, false>(&mut far));
         assert!(far.iter().all(|&value| value < 1e-37), "{far:?}");
         let mut exact: Vec<f64> = (0..16).map(|step| -f64::from(step)).collect();
-        with_lanes(Exponentials(&mut exact));
+        vectorised(Functions::<_, false>(&mut exact));
         assert!(exact.iter().enumerate().all(|(step, &value)| value == (-(step as f64)).exp()), "{exact:?}");
     }
 
@@ -283,7 +249,7 @@ mod tests {
     fn operations_are_those_of_single_numbers<T: Real>() {
         let a: [T; MOST] = std::array::from_fn(|i| T::of(i as f64 - 5.0));
         let b: [T; MOST] = std::array::from_fn(|i| T::of((i * 7 % 16) as f64 - 4.0));
-        let (rows, sum, largest) = with_lanes(Operations(&a, &b));
+        let (rows, sum, largest) = vectorised(Operations(&a, &b));
         assert_eq!((rows.len(), sum.as_f64(), largest.as_f64()), (MOST, 40.0, 10.0));
         for ((&a, &b), row) in a.iter().zip(&b).zip(rows) {
             let both = a >= b && b > -T::one();
@@ -295,32 +261,18 @@ mod tests {
         }
     }
 
-    /// Logarithms of 1 and the numbers, by lanes.
-    struct Logarithms<'a, T>(&'a mut [T]);
-
-    impl<T: Real> WithSimd for Logarithms<'_, T> {
-        type Output = ();
-
-        #[inline(always)]
-        fn with_simd<S: Simd>(self, simd: S) {
-            for values in self.0.chunks_exact_mut(T::lane_count::<S>()) {
-                Lanes::load(simd, values).ln_1p_share().store(values);
-            }
-        }
-    }
-
     #[test]
     fn logarithms_are_accurate_from_one_to_two() {
         let arguments: Vec<f32> = (0..=200_016).flat_map(|step| [5e-6, 5e-12].map(|unit| step as f32 * unit)).collect();
         let arguments: Vec<f32> = arguments.into_iter().filter(|&x| x <= 1.0).take(400_000).collect();
         let mut found = arguments.clone();
-        with_lanes(Logarithms(&mut found));
+        vectorised(Functions::<_, true>(&mut found));
         for (argument, found) in arguments.into_iter().zip(found) {
             let exact = f64::from(argument).ln_1p();
             assert!((f64::from(found) - exact).abs() <= 3.6e-7 * exact, "ln(1 + {argument}) is {found}, not {exact}");
         }
         let mut exact: Vec<f64> = (0..16).map(|step| f64::from(step) / 16.0).collect();
-        with_lanes(Logarithms(&mut exact));
+        vectorised(Functions::<_, true>(&mut exact));
         assert!(exact.iter().enumerate().all(|(step, &value)| value == (step as f64 / 16.0).ln_1p()), "{exact:?}");
     }
 

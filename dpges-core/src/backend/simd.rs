@@ -1,8 +1,10 @@
-//! Vector instructions for kernels that are loops.
+//! Vector instructions for kernels.
 
-/// Runs `kernel` compiled for the widest vector instructions of this machine. Everything it calls
-/// must be `#[inline(always)]` to profit.
+use pulp::WithSimd;
+
+/// Runs `kernel`, a loop or one of [lanes](super::lanes), with the widest vector instructions of this machine. Everything it
+/// calls must be `#[inline(always)]` to profit.
 #[inline]
-pub fn vectorised<R>(kernel: impl FnOnce() -> R) -> R {
+pub fn vectorised<K: WithSimd>(kernel: K) -> K::Output {
     pulp::Arch::new().dispatch(kernel)
 }

@@ -1,22 +1,50 @@
-//! The entry of an operation on Burn's tape.
+//! Operations on Burn's tape.
 
-use burn::backend::Backend;
+use std::fmt::Debug;
+use std::marker::PhantomData;
+
+use burn::backend::autodiff::checkpoint::base::Checkpointer;
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::Ops;
+use burn::backend::autodiff::ops::{Backward, NodeGuard, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Backend};
 
-/// Takes the gradient that arrived at a node, and registers what `backward` makes of it and of the node's state:
-/// a gradient for each parent, `None` where nothing reaches it.
-pub fn pass_back<B: Backend, S, const N: usize>(
-    ops: Ops<S, N>,
-    grads: &mut Gradients,
-    backward: impl FnOnce(S, FloatTensor<B>) -> [Option<FloatTensor<B>>; N],
-) {
-    let grad = grads.consume::<B>(&ops.node);
-    let of_parents = backward(ops.state, grad);
-    for (parent, grad) in ops.parents.into_iter().zip(of_parents) {
-        if let (Some(parent), Some(grad)) = (parent, grad) {
-            grads.register::<B>(parent.id, grad);
+use super::kept::Kept;
+
+/// What a node of the tape with N parents keeps for the way back.
+pub trait WayBack<B: Backend, const N: usize>: Clone + Debug + Send + 'static {
+    /// Makes the gradients of the parents from that of the node; `None` where nothing reaches a parent.
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; N];
+}
+
+#[derive(Debug)]
+struct Node<W>(PhantomData<W>);
+
+impl<B: Backend, W: WayBack<B, N>, const N: usize> Backward<B, N> for Node<W> {
+    type State = W;
+
+    fn backward(self, ops: Ops<W, N>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        let of_parents = ops.state.go_back(grad);
+        for (parent, grad) in ops.parents.into_iter().zip(of_parents) {
+            if let (Some(parent), Some(grad)) = (parent, grad) {
+                grads.register::<B>(parent.id, grad);
+            }
         }
+    }
+}
+
+/// A node with the output of `forward`, which may keep something if there is a way back.
+pub fn on_tape<B: Backend, S: CheckpointStrategy, W: WayBack<B, N>, const N: usize>(
+    parents: [NodeGuard; N],
+    forward: impl FnOnce(Kept) -> (FloatTensor<B>, W),
+) -> FloatTensor<Autodiff<B, S>> {
+    match Backward::<B, N>::prepare::<S>(Node::<W>(PhantomData), parents).compute_bound().stateful() {
+        OpsKind::Tracked(prep) => {
+            let (output, state) = forward(Kept::wanted());
+            prep.finish(state, output)
+        }
+        OpsKind::UnTracked(prep) => prep.finish(forward(Kept::default()).0),
     }
 }

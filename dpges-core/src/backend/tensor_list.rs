@@ -1,8 +1,9 @@
 //! Several tensors as one input.
 
-use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Autodiff, Backend, Dispatch, ExtensionType};
+use burn::backend::{Backend, Dispatch, ExtensionType};
+#[cfg(feature = "gpu")]
+use cubecl::prelude::*;
 
 /// Tensors of a list: with a buffer for what a kernel writes, as many as every GPU can bind.
 pub const LIST_LENGTH: usize = 6;
@@ -19,10 +20,6 @@ pub struct TensorList<B: Backend> {
 }
 
 impl<B: Backend> TensorList<B> {
-    fn new([first, second, third, fourth, fifth, sixth]: [FloatTensor<B>; LIST_LENGTH]) -> Self {
-        Self { first, second, third, fourth, fifth, sixth }
-    }
-
     /// All of them, those beyond the number that comes with the list last.
     pub fn into_tensors(self) -> [FloatTensor<B>; LIST_LENGTH] {
         [self.first, self.second, self.third, self.fourth, self.fifth, self.sixth]
@@ -34,13 +31,29 @@ impl TensorList<Dispatch> {
     /// Unless there are 1 to [`LIST_LENGTH`] tensors.
     pub fn of(tensors: &[FloatTensor<Dispatch>]) -> Self {
         assert!((1..=LIST_LENGTH).contains(&tensors.len()), "{} tensors in a list", tensors.len());
-        Self::new(std::array::from_fn(|at| tensors[at.min(tensors.len() - 1)].clone()))
+        let [first, second, third, fourth, fifth, sixth] =
+            std::array::from_fn(|at| tensors[at.min(tensors.len() - 1)].clone());
+        Self { first, second, third, fourth, fifth, sixth }
     }
 }
 
-impl<B: Backend, S: CheckpointStrategy> TensorList<Autodiff<B, S>> {
-    /// The same off the tape.
-    pub fn inner(self) -> TensorList<B> {
-        TensorList::new(self.into_tensors().map(|tensor| tensor.into_parts().0))
+/// A number of each tensor of a list, in kernels.
+#[cfg(feature = "gpu")]
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub struct PerTensor {
+    pub first: u32,
+    pub second: u32,
+    pub third: u32,
+    pub fourth: u32,
+    pub fifth: u32,
+    pub sixth: u32,
+}
+
+#[cfg(feature = "gpu")]
+impl PerTensor {
+    pub fn launch(numbers: [usize; LIST_LENGTH]) -> PerTensorLaunch {
+        let [first, second, third, fourth, fifth, sixth] = numbers.map(|number| number as u32);
+        PerTensorLaunch::new(first, second, third, fourth, fifth, sixth)
     }
 }

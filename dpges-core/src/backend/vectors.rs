@@ -39,9 +39,9 @@ pub trait Vectors: Copy {
 
 macro_rules! implement {
     (
-        $number:ty, $vector:ident, $mask:ident, $count:ident, $splat:ident, $slice:ident, $slice_mut:ident, $add:ident,
-        $sub:ident, $mul:ident, $mul_add:ident, $div:ident, $min:ident, $max:ident, $at_least:ident, $below:ident,
-        $both:ident, $either:ident, $first_true:ident, $select:ident, $sum:ident, $largest:ident, $exp:ident, $ln_1p:ident
+        $number:ty, $vector:ident, $mask:ident, $count:ident, $slice:ident, $slice_mut:ident, $first_true:ident,
+        $exp:ident, $ln_1p:ident,
+        $($function:ident($($argument:ident: $kind:ty),+) -> $result:ty = $instruction:ident;)+
     ) => {
         impl Vectors for $number {
             type Vector<S: Simd> = S::$vector;
@@ -51,11 +51,6 @@ macro_rules! implement {
             fn lane_count<S: Simd>() -> usize {
                 const { assert!(MOST.is_multiple_of(S::$count)) };
                 S::$count
-            }
-
-            #[inline(always)]
-            fn splat_lanes<S: Simd>(simd: S, value: Self) -> S::$vector {
-                simd.$splat(value)
             }
 
             #[inline(always)]
@@ -69,79 +64,16 @@ macro_rules! implement {
             }
 
             #[inline(always)]
-            fn add_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$add(a, b)
-            }
-
-            #[inline(always)]
-            fn sub_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$sub(a, b)
-            }
-
-            #[inline(always)]
-            fn mul_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$mul(a, b)
-            }
-
-            #[inline(always)]
-            fn mul_add_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector, c: S::$vector) -> S::$vector {
-                simd.$mul_add(a, b, c)
-            }
-
-            #[inline(always)]
-            fn div_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$div(a, b)
-            }
-
-            #[inline(always)]
-            fn min_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$min(a, b)
-            }
-
-            #[inline(always)]
-            fn max_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$max(a, b)
-            }
-
-            #[inline(always)]
-            fn at_least_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$mask {
-                simd.$at_least(a, b)
-            }
-
-            #[inline(always)]
-            fn below_lanes<S: Simd>(simd: S, a: S::$vector, b: S::$vector) -> S::$mask {
-                simd.$below(a, b)
-            }
-
-            #[inline(always)]
-            fn both_lanes<S: Simd>(simd: S, a: S::$mask, b: S::$mask) -> S::$mask {
-                simd.$both(a, b)
-            }
-
-            #[inline(always)]
-            fn either_lanes<S: Simd>(simd: S, a: S::$mask, b: S::$mask) -> S::$mask {
-                simd.$either(a, b)
-            }
-
-            #[inline(always)]
             fn any_lane<S: Simd>(simd: S, mask: S::$mask) -> bool {
                 simd.$first_true(mask) < S::$count
             }
 
-            #[inline(always)]
-            fn select_lanes<S: Simd>(simd: S, mask: S::$mask, a: S::$vector, b: S::$vector) -> S::$vector {
-                simd.$select(mask, a, b)
-            }
-
-            #[inline(always)]
-            fn sum_lanes<S: Simd>(simd: S, vector: S::$vector) -> Self {
-                simd.$sum(vector)
-            }
-
-            #[inline(always)]
-            fn largest_lanes<S: Simd>(simd: S, vector: S::$vector) -> Self {
-                simd.$largest(vector)
-            }
+            $(
+                #[inline(always)]
+                fn $function<S: Simd>(simd: S, $($argument: $kind),+) -> $result {
+                    simd.$instruction($($argument),+)
+                }
+            )+
 
             #[inline(always)]
             fn exp_nonpositive_lanes<S: Simd>(simd: S, vector: S::$vector) -> S::$vector {
@@ -156,58 +88,45 @@ macro_rules! implement {
     };
 }
 
-implement!(
-    f32,
-    f32s,
-    m32s,
-    F32_LANES,
-    splat_f32s,
-    as_simd_f32s,
-    as_mut_simd_f32s,
-    add_f32s,
-    sub_f32s,
-    mul_f32s,
-    mul_add_e_f32s,
-    div_f32s,
-    min_f32s,
-    max_f32s,
-    greater_than_or_equal_f32s,
-    less_than_f32s,
-    and_m32s,
-    or_m32s,
-    first_true_m32s,
-    select_f32s,
-    reduce_sum_f32s,
-    reduce_max_f32s,
-    exp_nonpositive_f32,
-    ln_1p_share_f32
-);
-implement!(
-    f64,
-    f64s,
-    m64s,
-    F64_LANES,
-    splat_f64s,
-    as_simd_f64s,
-    as_mut_simd_f64s,
-    add_f64s,
-    sub_f64s,
-    mul_f64s,
-    mul_add_e_f64s,
-    div_f64s,
-    min_f64s,
-    max_f64s,
-    greater_than_or_equal_f64s,
-    less_than_f64s,
-    and_m64s,
-    or_m64s,
-    first_true_m64s,
-    select_f64s,
-    reduce_sum_f64s,
-    reduce_max_f64s,
-    exp_nonpositive_f64,
-    ln_1p_share_f64
-);
+implement! {
+    f32, f32s, m32s, F32_LANES, as_simd_f32s, as_mut_simd_f32s, first_true_m32s,
+    exp_nonpositive_f32, ln_1p_share_f32,
+    splat_lanes(value: f32) -> S::f32s = splat_f32s;
+    add_lanes(a: S::f32s, b: S::f32s) -> S::f32s = add_f32s;
+    sub_lanes(a: S::f32s, b: S::f32s) -> S::f32s = sub_f32s;
+    mul_lanes(a: S::f32s, b: S::f32s) -> S::f32s = mul_f32s;
+    mul_add_lanes(a: S::f32s, b: S::f32s, c: S::f32s) -> S::f32s = mul_add_e_f32s;
+    div_lanes(a: S::f32s, b: S::f32s) -> S::f32s = div_f32s;
+    min_lanes(a: S::f32s, b: S::f32s) -> S::f32s = min_f32s;
+    max_lanes(a: S::f32s, b: S::f32s) -> S::f32s = max_f32s;
+    at_least_lanes(a: S::f32s, b: S::f32s) -> S::m32s = greater_than_or_equal_f32s;
+    below_lanes(a: S::f32s, b: S::f32s) -> S::m32s = less_than_f32s;
+    both_lanes(a: S::m32s, b: S::m32s) -> S::m32s = and_m32s;
+    either_lanes(a: S::m32s, b: S::m32s) -> S::m32s = or_m32s;
+    select_lanes(mask: S::m32s, a: S::f32s, b: S::f32s) -> S::f32s = select_f32s;
+    sum_lanes(vector: S::f32s) -> f32 = reduce_sum_f32s;
+    largest_lanes(vector: S::f32s) -> f32 = reduce_max_f32s;
+}
+
+implement! {
+    f64, f64s, m64s, F64_LANES, as_simd_f64s, as_mut_simd_f64s, first_true_m64s,
+    exp_nonpositive_f64, ln_1p_share_f64,
+    splat_lanes(value: f64) -> S::f64s = splat_f64s;
+    add_lanes(a: S::f64s, b: S::f64s) -> S::f64s = add_f64s;
+    sub_lanes(a: S::f64s, b: S::f64s) -> S::f64s = sub_f64s;
+    mul_lanes(a: S::f64s, b: S::f64s) -> S::f64s = mul_f64s;
+    mul_add_lanes(a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s = mul_add_e_f64s;
+    div_lanes(a: S::f64s, b: S::f64s) -> S::f64s = div_f64s;
+    min_lanes(a: S::f64s, b: S::f64s) -> S::f64s = min_f64s;
+    max_lanes(a: S::f64s, b: S::f64s) -> S::f64s = max_f64s;
+    at_least_lanes(a: S::f64s, b: S::f64s) -> S::m64s = greater_than_or_equal_f64s;
+    below_lanes(a: S::f64s, b: S::f64s) -> S::m64s = less_than_f64s;
+    both_lanes(a: S::m64s, b: S::m64s) -> S::m64s = and_m64s;
+    either_lanes(a: S::m64s, b: S::m64s) -> S::m64s = or_m64s;
+    select_lanes(mask: S::m64s, a: S::f64s, b: S::f64s) -> S::f64s = select_f64s;
+    sum_lanes(vector: S::f64s) -> f64 = reduce_sum_f64s;
+    largest_lanes(vector: S::f64s) -> f64 = reduce_max_f64s;
+}
 
 #[inline(always)]
 fn exp_nonpositive_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {

@@ -6,16 +6,14 @@ use burn::tensor::TensorData;
 use rayon::prelude::*;
 
 use super::{AdamOps, AdamOutput, AdamStep};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
 
 const CHUNK: usize = 1 << 14;
 
 fn step_in_place<T: Real>(parameter: &mut [T], moment_1: &mut [T], moment_2: &mut [T], grad: &[T], step: &AdamStep) {
-    let time = i32::try_from(step.time).unwrap_or(i32::MAX);
-    let rate = T::of(step.learning_rate / (1.0 - step.beta_1.powi(time)));
-    let correction = T::of(1.0 / (1.0 - step.beta_2.powi(time)).sqrt());
+    let [rate, correction] = step.corrected().map(T::of);
     let (beta_1, beta_2, epsilon) = (T::of(step.beta_1), T::of(step.beta_2), T::of(step.epsilon));
     let (new_1, new_2) = (T::of(1.0 - step.beta_1), T::of(1.0 - step.beta_2));
     parameter
@@ -37,41 +35,25 @@ fn step_in_place<T: Real>(parameter: &mut [T], moment_1: &mut [T], moment_2: &mu
         });
 }
 
-fn adam_on<B: Host>(
-    parameter: FloatTensor<B>,
-    moment_1: FloatTensor<B>,
-    moment_2: FloatTensor<B>,
-    grad: &FloatTensor<B>,
-    gate: &FloatTensor<B>,
-    step: &AdamStep,
-) -> AdamOutput<B> {
-    let (shape, device) = (parameter.shape(), parameter.device());
-    with_real!(parameter.dtype(), T => {
-        if host::floats::<B, T>(gate)[0] != T::of(1.0) {
-            return AdamOutput { parameter, moment_1, moment_2 };
-        }
-        let [mut parameter, mut moment_1, mut moment_2] = [parameter, moment_1, moment_2].map(host::take_floats::<B, T>);
-        step_in_place(&mut parameter, &mut moment_1, &mut moment_2, &host::floats::<B, T>(grad), step);
-        let [parameter, moment_1, moment_2] =
-            [parameter, moment_1, moment_2].map(|values| B::float_from_data(TensorData::new(values, shape.clone()), &device));
-        AdamOutput { parameter, moment_1, moment_2 }
-    })
-}
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl AdamOps for $backend {
-            fn adam_step(
-                parameter: FloatTensor<Self>,
-                moment_1: FloatTensor<Self>,
-                moment_2: FloatTensor<Self>,
-                grad: FloatTensor<Self>,
-                gate: FloatTensor<Self>,
-                step: AdamStep,
-            ) -> AdamOutput<Self> {
-                adam_on::<Self>(parameter, moment_1, moment_2, &grad, &gate, &step)
+impl<B: Host> AdamOps for B {
+    fn adam_step(
+        parameter: FloatTensor<B>,
+        moment_1: FloatTensor<B>,
+        moment_2: FloatTensor<B>,
+        grad: FloatTensor<B>,
+        gate: FloatTensor<B>,
+        step: AdamStep,
+    ) -> AdamOutput<B> {
+        let (shape, device) = (parameter.shape(), parameter.device());
+        with_real!(parameter.dtype(), T => {
+            if host::floats::<B, T>(&gate)[0] != T::of(1.0) {
+                return AdamOutput { parameter, moment_1, moment_2 };
             }
-        }
-    };
+            let [mut parameter, mut moment_1, mut moment_2] = [parameter, moment_1, moment_2].map(host::take_floats::<B, T>);
+            step_in_place(&mut parameter, &mut moment_1, &mut moment_2, &host::floats::<B, T>(&grad), &step);
+            let [parameter, moment_1, moment_2] =
+                [parameter, moment_1, moment_2].map(|values| B::float_from_data(TensorData::new(values, shape.clone()), &device));
+            AdamOutput { parameter, moment_1, moment_2 }
+        })
+    }
 }
-for_each_cpu_backend!(implement);

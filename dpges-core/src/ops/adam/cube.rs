@@ -69,10 +69,10 @@ impl AdamOps for CubeBackend {
         }
         let [parameter, moment_1, moment_2] = [parameter, moment_1, moment_2].map(owned);
         let (grad, gate) = (floats(grad), floats(gate));
-        let time = i32::try_from(step.time).unwrap_or(i32::MAX);
+        let [rate, correction] = step.corrected().map(|number| number as f32);
         let rates = RatesLaunch::new(
-            (step.learning_rate / (1.0 - step.beta_1.powi(time))) as f32,
-            (1.0 / (1.0 - step.beta_2.powi(time)).sqrt()) as f32,
+            rate,
+            correction,
             step.beta_1 as f32,
             step.beta_2 as f32,
             (1.0 - step.beta_1) as f32,

@@ -30,6 +30,14 @@ pub struct AdamStep {
     pub time: u64,
 }
 
+impl AdamStep {
+    /// The learning rate over the bias correction of the first moment, and the reciprocal root of that of the second.
+    fn corrected(&self) -> [f64; 2] {
+        let time = i32::try_from(self.time).unwrap_or(i32::MAX);
+        [self.learning_rate / (1.0 - self.beta_1.powi(time)), 1.0 / (1.0 - self.beta_2.powi(time)).sqrt()]
+    }
+}
+
 #[derive(ExtensionType, Debug, Clone)]
 pub struct AdamOutput<B: Backend> {
     pub parameter: FloatTensor<B>,

@@ -23,23 +23,25 @@ use rayon::prelude::*;
 use self::disc::DiscFootprint;
 use self::distortion::Spread;
 use self::gather::backward;
-use self::hybrid::Tile;
+use self::hybrid::HybridTile;
 use self::projected::{CameraPair, Ellipse, Projected};
 use self::rays::walk_rays;
-use self::walk::{Fragments, Sorted, Thresholds, walk_tile};
+use self::walk::{Fragments, Sorted, Thresholds, Tile, walk_tile};
 use self::whitened::WhitenedFootprint;
+use super::autodiff::BlendState;
 use super::{
-    ALL_PLANES, ALPHA_PLANE, BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput,
-    COLOUR_PLANES, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, OutweighingOps,
+    ALL_PLANES, ALPHA_PLANE, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, COLOUR_PLANES, DEPTH_PLANE,
+    DISTORTION_PLANE, Form, NORMAL_PLANE, OutweighingOps,
 };
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::kept::Kept;
-use crate::backend::lanes::{Lanes, with_lanes};
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
+use crate::backend::simd::vectorised;
+use crate::backend::tape::WayBack;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu::student::Student;
 use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
-use crate::math::CameraOf;
 use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TILE_PIXELS;
 use crate::tiles::layout::to_planes;
@@ -100,12 +102,8 @@ impl<T: Real, F: Projected<T>> TileSums<'_, T, F> {
 
 /// The forward pass of a tile, into `block` [planes, `TILE_PIXELS`], zero so far.
 struct BlendTile<'a, T, F> {
-    sorted: &'a Sorted<T, F>,
-    camera: &'a CameraOf<T>,
-    tile: usize,
-    thresholds: &'a Thresholds<T>,
-    slope: T,
-    options: &'a BlendOptions,
+    tile: Tile<'a, T, F>,
+    maps: bool,
     block: &'a mut [T],
 }
 
@@ -114,7 +112,7 @@ impl<T: Real, F: Projected<T>> WithSimd for BlendTile<'_, T, F> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        if self.options.maps {
+        if self.maps {
             self.blend::<S, true>(simd);
         } else {
             self.blend::<S, false>(simd);
@@ -125,30 +123,25 @@ impl<T: Real, F: Projected<T>> WithSimd for BlendTile<'_, T, F> {
 impl<T: Real, F: Projected<T>> BlendTile<'_, T, F> {
     #[inline(always)]
     fn blend<S: Simd, const MAPS: bool>(self, simd: S) {
-        let Self { sorted, camera, tile, thresholds, slope, options, block } = self;
-        let mut sums = TileSums { sorted, spread: Spread::new(slope), block };
-        match options.order {
+        let Self { tile, block, .. } = self;
+        let mut sums = TileSums { sorted: tile.sorted, spread: Spread::new(tile.slope), block };
+        match tile.order {
             BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted) => {
                 let progress = walk_tile(
                     simd,
-                    sorted,
-                    tile,
-                    thresholds,
+                    &tile,
                     #[inline(always)]
                     |id, start, fragments| sums.add::<S, MAPS>(id, start, fragments),
                 );
                 sums.set_alpha(&progress.through);
             }
             BlendOrder::Rays => {
-                let list = sorted.lists.of(tile);
-                let through = walk_rays(sorted, camera, tile, thresholds, |position, pixel, fragment| {
-                    sums.add::<Scalar, MAPS>(list[position] as usize, pixel, fragment);
+                let through = walk_rays(&tile, |position, pixel, fragment| {
+                    sums.add::<Scalar, MAPS>(tile.list()[position] as usize, pixel, fragment);
                 });
                 sums.set_alpha(&through);
             }
-            BlendOrder::Whitened(transparency) => {
-                Tile::new(simd, sorted, camera, tile, thresholds, transparency).blend::<MAPS>(sums.block);
-            }
+            BlendOrder::Whitened(transparency) => HybridTile::new(simd, &tile, transparency).blend::<MAPS>(sums.block),
         }
     }
 }
@@ -166,8 +159,9 @@ fn forward<T: Real, F: Projected<T>>(
     let count = if options.maps { ALL_PLANES + 1 } else { COLOUR_PLANES };
     let mut blocks = vec![T::zero(); sorted.grid.len() * count * TILE_PIXELS];
     blocks.par_chunks_mut(count * TILE_PIXELS).enumerate().for_each(|(tile, block)| {
-        let (sorted, camera, thresholds) = (&sorted, &view.camera, &thresholds);
-        with_lanes(BlendTile { sorted, camera, tile, thresholds, slope, options, block });
+        let (sorted, camera, thresholds, order) = (&sorted, &view.camera, &thresholds, options.order);
+        let tile = Tile { sorted, camera, number: tile, thresholds, slope, order };
+        vectorised(BlendTile { tile, maps: options.maps, block });
     });
     let mut planes = to_planes(&blocks, count, sorted.grid);
     kept.put(sorted);
@@ -175,109 +169,80 @@ fn forward<T: Real, F: Projected<T>>(
     [planes, median_depth]
 }
 
-fn blend_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &BlendOptions, kept: &Kept) -> BlendOutput<B> {
-    let (height, width, device) = (camera.height, camera.width, input.gaussians.positions.device());
-    with_real!(input.gaussians.positions.dtype(), T => {
-        let rows = GaussianRows::<T>::new(&input.gaussians).with_kernels::<B>(&input.degrees_of_freedom);
-        let [planes, median_depth] = match options.form {
-            Form::Ellipsoids => forward::<T, Ellipse<T>>(&rows, camera, options, kept),
-            Form::Discs => forward::<T, DiscFootprint<T>>(&rows, camera, options, kept),
-            Form::Students => forward::<T, Student<T>>(&rows, camera, options, kept),
-            Form::Whitened => forward::<T, WhitenedFootprint<T>>(&rows, camera, options, kept),
-        };
-        let medians = usize::from(options.maps);
-        BlendOutput {
-            planes: host::float_tensor::<B, T, 3>(planes, [options.planes(), height, width], &device),
-            median_depth: host::float_tensor::<B, T, 3>(median_depth, [medians, height, width], &device),
-            lists: BlendLists::from_array(std::array::from_fn(|_| host::int_tensor::<B, 1>(Vec::new(), [0], &device))),
-        }
-    })
-}
-
-fn blend_backward_on<B: Host>(
-    input: &BlendInput<B>,
-    grad: &FloatTensor<B>,
-    camera: &Camera,
-    options: &BlendOptions,
-    kept: &Kept,
-) -> BlendInput<B> {
-    let (probed, device) = (host::rows(&input.probe), grad.device());
-    with_real!(grad.dtype(), T => {
-        let rows = GaussianRows::<T>::new(&input.gaussians).with_kernels::<B>(&input.degrees_of_freedom);
-        let grad = host::floats::<B, T>(grad);
-        let [positions, quaternions, log_scales, opacities, colours, degrees, probe] = match options.form {
-            Form::Ellipsoids => backward::<T, Ellipse<T>>(&rows, &grad, probed > 0, camera, options, kept),
-            Form::Discs => backward::<T, DiscFootprint<T>>(&rows, &grad, probed > 0, camera, options, kept),
-            Form::Students => backward::<T, Student<T>>(&rows, &grad, probed > 0, camera, options, kept),
-            Form::Whitened => backward::<T, WhitenedFootprint<T>>(&rows, &grad, probed > 0, camera, options, kept),
-        };
-        BlendInput {
-            gaussians: GaussianTensors::from_rows([positions, quaternions, log_scales, opacities, colours], &device),
-            degrees_of_freedom: host::float_tensor::<B, T, 1>(degrees, [host::rows(&input.degrees_of_freedom)], &device),
-            probe: host::float_tensor::<B, T, 2>(probe, [probed, 4], &device),
-        }
-    })
-}
-
-/// Marks every primitive with a weight of at least `least` at some pixel.
-fn outweighing_on<B: Host>(input: &BlendInput<B>, camera: &Camera, options: &BlendOptions, least: f64) -> IntTensor<B> {
-    let (count, device) = (host::rows(&input.gaussians.positions), input.gaussians.positions.device());
-    let transparency = options.order.transparency().expect("that of whitened Gaussians");
-    let marks: Vec<i32> = with_real!(input.gaussians.positions.dtype(), T => {
-        let rows = GaussianRows::<T>::new(&input.gaussians);
-        let view = CameraPair::<T>::new(camera, options.filter);
-        let sorted = Sorted::<T, WhitenedFootprint<T>>::new(&rows, &view, options);
-        let (thresholds, least) = (Thresholds::new(options), T::of(least));
-        let simd = Scalar::new();
-        let marks: Vec<AtomicI32> = (0..count).map(|_| AtomicI32::new(0)).collect();
-        (0..sorted.grid.len()).into_par_iter().for_each(|tile| {
-            let mark = |id: usize, weight: T| {
-                if weight >= least {
-                    marks[sorted.rows[id]].store(1, Ordering::Relaxed);
-                }
+impl<B: Host> BlendOps for B {
+    fn blend(input: BlendInput<B>, camera: Camera, options: BlendOptions, kept: Kept) -> BlendOutput<B> {
+        let (height, width, device) = (camera.height, camera.width, input.gaussians.positions.device());
+        with_real!(input.gaussians.positions.dtype(), T => {
+            let rows = GaussianRows::<T>::new(&input.gaussians).with_kernels::<B>(&input.degrees_of_freedom);
+            let forward = match options.form {
+                Form::Ellipsoids => forward::<T, Ellipse<T>>,
+                Form::Discs => forward::<T, DiscFootprint<T>>,
+                Form::Students => forward::<T, Student<T>>,
+                Form::Whitened => forward::<T, WhitenedFootprint<T>>,
             };
-            if transparency == Transparency::Sorted {
-                walk_tile(simd, &sorted, tile, &thresholds, |id, _, fragments| mark(id, fragments.covered.largest()));
-            } else {
-                Tile::new(simd, &sorted, &view.camera, tile, &thresholds, transparency).for_each_weight(mark);
+            let [planes, median_depth] = forward(&rows, &camera, &options, &kept);
+            let medians = usize::from(options.maps);
+            BlendOutput {
+                planes: host::float_tensor::<B, T, 3>(planes, [options.planes(), height, width], &device),
+                median_depth: host::float_tensor::<B, T, 3>(median_depth, [medians, height, width], &device),
+                lists: BlendLists::from_array(std::array::from_fn(|_| host::int_tensor::<B, 1>(Vec::new(), [0], &device))),
             }
+        })
+    }
+}
+
+impl<B: Host> WayBack<B, 7> for BlendState<B> {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 7] {
+        let Self { input, camera, options, kept, .. } = self;
+        let [degrees, probed] = [&input.degrees_of_freedom, &input.probe].map(host::rows);
+        let device = grad.device();
+        with_real!(grad.dtype(), T => {
+            let rows = GaussianRows::<T>::new(&input.gaussians).with_kernels::<B>(&input.degrees_of_freedom);
+            let backward = match options.form {
+                Form::Ellipsoids => backward::<T, Ellipse<T>>,
+                Form::Discs => backward::<T, DiscFootprint<T>>,
+                Form::Students => backward::<T, Student<T>>,
+                Form::Whitened => backward::<T, WhitenedFootprint<T>>,
+            };
+            let [positions, quaternions, log_scales, opacities, colours, degrees_of_freedom, probe] =
+                backward(&rows, &host::floats::<B, T>(&grad), probed > 0, &camera, &options, &kept);
+            let grads = BlendInput::<B> {
+                gaussians: GaussianTensors::from_rows([positions, quaternions, log_scales, opacities, colours], &device),
+                degrees_of_freedom: host::float_tensor::<B, T, 1>(degrees_of_freedom, [degrees], &device),
+                probe: host::float_tensor::<B, T, 2>(probe, [probed, 4], &device),
+            };
+            grads.into_array().map(Some)
+        })
+    }
+}
+
+impl<B: Host> OutweighingOps for B {
+    fn outweighing(input: BlendInput<B>, camera: Camera, options: BlendOptions, least: f64) -> IntTensor<B> {
+        let (count, device) = (host::rows(&input.gaussians.positions), input.gaussians.positions.device());
+        let transparency = options.order.transparency().expect("that of whitened Gaussians");
+        let marks: Vec<i32> = with_real!(input.gaussians.positions.dtype(), T => {
+            let rows = GaussianRows::<T>::new(&input.gaussians);
+            let view = CameraPair::<T>::new(&camera, options.filter);
+            let sorted = Sorted::<T, WhitenedFootprint<T>>::new(&rows, &view, &options);
+            let (thresholds, least) = (Thresholds::new(&options), T::of(least));
+            let simd = Scalar::new();
+            let marks: Vec<AtomicI32> = (0..count).map(|_| AtomicI32::new(0)).collect();
+            (0..sorted.grid.len()).into_par_iter().for_each(|tile| {
+                let mark = |id: usize, weight: T| {
+                    if weight >= least {
+                        marks[sorted.rows[id]].store(1, Ordering::Relaxed);
+                    }
+                };
+                let (sorted, camera, thresholds, order) = (&sorted, &view.camera, &thresholds, options.order);
+                let tile = Tile { sorted, camera, number: tile, thresholds, slope: distortion::slope(camera), order };
+                if transparency == Transparency::Sorted {
+                    walk_tile(simd, &tile, |id, _, fragments| mark(id, fragments.covered.largest()));
+                } else {
+                    HybridTile::new(simd, &tile, transparency).for_each_weight(mark);
+                }
+            });
+            marks.into_iter().map(AtomicI32::into_inner).collect()
         });
-        marks.into_iter().map(AtomicI32::into_inner).collect()
-    });
-    host::int_tensor::<B, 1>(marks, [count], &device)
+        host::int_tensor::<B, 1>(marks, [count], &device)
+    }
 }
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl OutweighingOps for $backend {
-            fn outweighing(
-                input: BlendInput<Self>,
-                camera: Camera,
-                options: BlendOptions,
-                least: f64,
-            ) -> IntTensor<Self> {
-                outweighing_on::<Self>(&input, &camera, &options, least)
-            }
-        }
-
-        impl BlendOps for $backend {
-            fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions, kept: Kept) -> BlendOutput<Self> {
-                blend_on::<Self>(&input, &camera, &options, &kept)
-            }
-        }
-
-        impl BlendBackwardOps for $backend {
-            fn blend_backward(
-                input: BlendInput<Self>,
-                _: BlendLists<Self>,
-                grad: FloatTensor<Self>,
-                camera: Camera,
-                options: BlendOptions,
-                kept: Kept,
-            ) -> BlendInput<Self> {
-                blend_backward_on::<Self>(&input, &grad, &camera, &options, &kept)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

@@ -13,15 +13,19 @@ mod parameters;
 mod rays;
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::tensor::IntTensor;
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use self::fold::Layout;
 use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_projected};
 use self::gather::gather;
-use super::{BlendBackwardOps, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, Form, OutweighingOps, far};
+use self::rays::{PIXEL_STATE, walk_rays};
+use super::autodiff::BlendState;
+use super::{BlendInput, BlendOps, BlendOptions, BlendOutput, Form, OutweighingOps, far};
 use crate::backend::kept::Kept;
+use crate::backend::tape::WayBack;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
 use crate::footprint::gaussian::cube::{SPLAT, Splat};
@@ -108,6 +112,86 @@ fn add_fragment(
     goes_on
 }
 
+/// Blends the list of a tile, of ellipsoids or students, into the state of the pixel of this unit. Returns the position in the list
+/// before which the pixel ends. All units of the cube must call this together, with workgroup memory of [[`UNITS`] ×
+/// [`SPLAT`]] and [[`UNITS`]] numbers.
+#[cube]
+fn blend_projected(
+    state: &mut Array<f32>,
+    staged: &mut [f32],
+    masks: &mut [u32],
+    shapes: &[f32],
+    features: &[f32],
+    list: TileList,
+    ids: &[u32],
+    tile: u32,
+    view: CameraUniforms,
+    thresholds: Thresholds,
+    #[comptime] form: Form,
+    #[comptime] maps: bool,
+) -> u32 {
+    let own = own_pixel(view, tile);
+    let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
+    let mut depths = Shared::<[f32]>::new_slice(REGIONS);
+    if UNIT_POS < comptime!(REGIONS as u32) {
+        depths[UNIT_POS as usize] = view.infinity;
+    }
+    let mut end = select(own.inside, list.length, 0u32);
+    let mut open = own.inside;
+    let batches = list.batches();
+    for batch in 0..batches {
+        let entries = list.stage(ids, batch, shapes, shapes, staged, (SPLAT, 0));
+        mark_regions(&*staged, entries, &depths, masks, tile, view, SPLAT);
+        list_regions(&*masks, &mut visits);
+        for word in 0..WORDS {
+            let mut bits = visits[(UNIT_POS / LANES) as usize * WORDS + word];
+            while bits != 0u32 && open {
+                let entry = word as u32 * 32u32 + bits.trailing_zeros();
+                bits &= bits - 1u32;
+                let position = batch * UNITS + entry;
+                let splat = Splat::load(&*staged, entry as usize * SPLAT);
+                let found = on_projected(splat, features, list, ids, position, own.x, own.y, form);
+                if found.weight != 0.0f32 {
+                    let i = list.entry(ids, position) as usize;
+                    open = add_fragment(state, found, features, i, thresholds, maps);
+                    end = select(open, end, position);
+                }
+            }
+        }
+    }
+    end
+}
+
+/// [`blend_projected`] for forms that are met by rays. Units need not call it together.
+#[cube]
+fn blend_met(
+    state: &mut Array<f32>,
+    shapes: &[f32],
+    features: &[f32],
+    list: TileList,
+    ids: &[u32],
+    tile: u32,
+    view: CameraUniforms,
+    thresholds: Thresholds,
+    #[comptime] form: Form,
+    #[comptime] maps: bool,
+) -> u32 {
+    let own = own_pixel(view, tile);
+    let mut end = select(own.inside, list.length, 0u32);
+    let mut position = 0u32;
+    while position < end {
+        let i = list.entry(ids, position) as usize;
+        let found = fragment(shapes, features, i, own.x, own.y, view, form);
+        if found.weight > 0.0f32 {
+            let goes_on = add_fragment(state, found, features, i, thresholds, maps);
+            end = select(goes_on, end, position + thresholds.ends_behind);
+        }
+        position += 1u32;
+    }
+    end
+}
+
+/// The forward pass with one order for all pixels, or, in that of rays, with the table of these in the place of the shapes.
 #[cube(launch)]
 fn blend_kernel(
     shapes: &[f32],
@@ -121,58 +205,39 @@ fn blend_kernel(
     capacity: u32,
     count: u32,
     #[comptime] form: Form,
+    #[comptime] order: BlendOrder,
     #[comptime] maps: bool,
 ) {
     if CUBE_POS >= (view.columns * view.rows) as usize {
         terminate!();
     }
     let list = TileList::own(offsets, capacity, count);
-    let own = own_pixel(view, CUBE_POS as u32);
-    let mut state = zeros(STATE);
+    let tile = CUBE_POS as u32;
+    let mut state = zeros(PIXEL_STATE);
     state[THROUGH] = 1.0f32;
-    if comptime!(form.is_projected()) {
+    if comptime!(order == BlendOrder::Rays) {
+        walk_rays(&mut state, shapes, features, list, ids, planes, 0u32, tile, view, thresholds, maps, false);
+    } else if comptime!(form.is_projected()) {
         let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * SPLAT));
         let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
-        let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
-        let mut ends = Shared::<[f32]>::new_slice(REGIONS);
-        if UNIT_POS < comptime!(REGIONS as u32) {
-            ends[UNIT_POS as usize] = view.infinity;
-        }
-        let mut open = own.inside;
-        let batches = list.batches();
-        for batch in 0..batches {
-            let entries = list.stage(ids, batch, shapes, shapes, &mut staged, (SPLAT, 0));
-            mark_regions(&staged, entries, &ends, &mut masks, CUBE_POS as u32, view, SPLAT);
-            list_regions(&masks, &mut visits);
-            for word in 0..WORDS {
-                let mut bits = visits[(UNIT_POS / LANES) as usize * WORDS + word];
-                while bits != 0u32 && open {
-                    let entry = word as u32 * 32u32 + bits.trailing_zeros();
-                    bits &= bits - 1u32;
-                    let position = batch * UNITS + entry;
-                    let splat = Splat::load(&staged, entry as usize * SPLAT);
-                    let found = on_projected(splat, features, list, ids, position, own.x, own.y, form);
-                    if found.weight != 0.0f32 {
-                        let i = list.entry(ids, position) as usize;
-                        open = add_fragment(&mut state, found, features, i, thresholds, maps);
-                    }
-                }
-            }
-        }
+        blend_projected(
+            &mut state,
+            &mut staged,
+            &mut masks,
+            shapes,
+            features,
+            list,
+            ids,
+            tile,
+            view,
+            thresholds,
+            form,
+            maps,
+        );
     } else {
-        let mut position = 0u32;
-        let mut end = select(own.inside, list.length, 0u32);
-        while position < end {
-            let i = list.entry(ids, position) as usize;
-            let found = fragment(shapes, features, i, own.x, own.y, view, form);
-            if found.weight > 0.0f32 {
-                let goes_on = add_fragment(&mut state, found, features, i, thresholds, maps);
-                end = select(goes_on, end, 0u32);
-            }
-            position += 1u32;
-        }
+        blend_met(&mut state, shapes, features, list, ids, tile, view, thresholds, form, maps);
     }
-    write_pixel(&state, planes, median_depth, view, CUBE_POS as u32, maps);
+    write_pixel(&state, planes, median_depth, view, tile, maps);
 }
 
 /// Writes the sums of the pixel of this unit in `tile`.
@@ -213,11 +278,14 @@ impl BlendOps for CubeBackend {
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
         match options.order {
-            BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted) => blend_kernel::launch(
+            BlendOrder::Whitened(transparency) if transparency != Transparency::Sorted => {
+                hybrid::blend(&fragments, &lists, [&planes, &median_depth], &camera, &options);
+            }
+            order => blend_kernel::launch(
                 &like.client.clone(),
                 cubes(TileGrid::new(width, height).len()),
                 cube_dim(),
-                buffer(&fragments.shapes),
+                buffer(if order == BlendOrder::Rays { fragments.by_rays() } else { &fragments.shapes }),
                 buffer(&fragments.features),
                 buffer(&lists.offsets),
                 buffer(&lists.primitives),
@@ -228,10 +296,9 @@ impl BlendOps for CubeBackend {
                 lists.primitives.shape()[0] as u32,
                 count as u32,
                 options.form,
+                order,
                 options.maps,
             ),
-            BlendOrder::Rays => rays::blend(&fragments, &lists, [&planes, &median_depth], &camera, &options),
-            BlendOrder::Whitened(_) => hybrid::blend(&fragments, &lists, [&planes, &median_depth], &camera, &options),
         }
         BlendOutput { planes, median_depth, lists }
     }
@@ -245,20 +312,14 @@ impl OutweighingOps for CubeBackend {
     }
 }
 
-impl BlendBackwardOps for CubeBackend {
-    fn blend_backward(
-        input: BlendInput<Self>,
-        lists: BlendLists<Self>,
-        grad: FloatTensor<Self>,
-        camera: Camera,
-        options: BlendOptions,
-        _: Kept,
-    ) -> BlendInput<Self> {
+impl WayBack<CubeBackend, 7> for BlendState<CubeBackend> {
+    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 7] {
+        let Self { input, lists, camera, options, .. } = self;
         let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
         let degrees_of_freedom = floats(input.degrees_of_freedom);
         let (fragments, _) = Fragments::in_order(&gaussians, &degrees_of_freedom, &lists.order, &camera, &options);
         let [sums, rest] = gather(&fragments, &lists, &grad, &camera, &options, layout);
-        parameters::backward(&gaussians, &sums, &rest, &camera, options.filter, layout)
+        parameters::backward(&gaussians, &sums, &rest, &camera, options.filter, layout).into_array().map(Some)
     }
 }

@@ -222,6 +222,21 @@ pub struct BlendInput<B: Backend> {
     pub probe: FloatTensor<B>,
 }
 
+impl<B: Backend> BlendInput<B> {
+    /// The tensors of the Gaussians, the degrees of freedom, the probe.
+    fn into_array(self) -> [FloatTensor<B>; 7] {
+        let [positions, quaternions, log_scales, opacities, colours] = self.gaussians.into_array();
+        [positions, quaternions, log_scales, opacities, colours, self.degrees_of_freedom, self.probe]
+    }
+
+    /// In the order of [`Self::into_array`].
+    fn from_array(tensors: [FloatTensor<B>; 7]) -> Self {
+        let [positions, quaternions, log_scales, opacities, colours, degrees_of_freedom, probe] = tensors;
+        let gaussians = GaussianTensors { positions, quaternions, log_scales, opacities, colours };
+        Self { gaussians, degrees_of_freedom, probe }
+    }
+}
+
 /// Primitives in the order of their depths and by tile, which backward needs again. CPU backends make them anew, and
 /// these are empty.
 #[derive(ExtensionType, Debug, Clone)]
@@ -270,20 +285,6 @@ pub trait BlendOps: Backend {
         options: BlendOptions,
         kept: Kept,
     ) -> BlendOutput<Self>;
-}
-
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait BlendBackwardOps: Backend {
-    /// Gradients with respect to the input, from that with respect to the planes, [P, H, W], and the lists of the
-    /// output.
-    fn blend_backward(
-        #[extension_type] input: BlendInput<Self>,
-        #[extension_type] lists: BlendLists<Self>,
-        grad: FloatTensor<Self>,
-        camera: Camera,
-        options: BlendOptions,
-        kept: Kept,
-    ) -> BlendInput<Self>;
 }
 
 #[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]

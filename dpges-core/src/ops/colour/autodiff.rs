@@ -1,38 +1,24 @@
 //! `colour` on the tape.
 
-use burn::backend::Autodiff;
-use burn::backend::autodiff::checkpoint::base::Checkpointer;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Backend};
 
-use super::{ColourBackwardOps, ColourOps, DetailPart};
-use crate::backend::tape::pass_back;
+use super::{ColourOps, DetailPart};
+use crate::backend::tape::{WayBack, on_tape};
 
 #[derive(Clone, Debug)]
-struct ColourState<F: Clone> {
-    detail: F,
-    positions: F,
-    centre: [f64; 3],
-    part: DetailPart,
+pub struct ColourState<B: Backend> {
+    pub detail: FloatTensor<B>,
+    pub positions: FloatTensor<B>,
+    pub centre: [f64; 3],
+    pub part: DetailPart,
 }
 
-#[derive(Debug)]
-struct ColourBackward;
-
-impl<B: ColourBackwardOps> Backward<B, 2> for ColourBackward {
-    type State = ColourState<FloatTensor<B>>;
-
-    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        pass_back::<B, _, 2>(ops, grads, |ColourState { detail, positions, centre, part }, grad| {
-            let (base, detail) = B::colour_backward(detail, positions, grad, centre, part);
-            [Some(base), Some(detail)]
-        });
-    }
-}
-
-impl<B: ColourOps + ColourBackwardOps, S: CheckpointStrategy> ColourOps for Autodiff<B, S> {
+impl<B: ColourOps, S: CheckpointStrategy> ColourOps for Autodiff<B, S>
+where
+    ColourState<B>: WayBack<B, 2>,
+{
     fn colour(
         base: FloatTensor<Self>,
         detail: FloatTensor<Self>,
@@ -43,10 +29,9 @@ impl<B: ColourOps + ColourBackwardOps, S: CheckpointStrategy> ColourOps for Auto
         let (base, base_node) = base.into_parts();
         let (detail, detail_node) = detail.into_parts();
         let positions = positions.into_parts().0;
-        let out = B::colour(base, detail.clone(), positions.clone(), centre, part);
-        match ColourBackward.prepare::<S>([base_node, detail_node]).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(ColourState { detail, positions, centre, part }, out),
-            OpsKind::UnTracked(prep) => prep.finish(out),
-        }
+        on_tape::<B, S, _, _>([base_node, detail_node], |_| {
+            let out = B::colour(base, detail.clone(), positions.clone(), centre, part);
+            (out, ColourState { detail, positions, centre, part })
+        })
     }
 }

@@ -6,9 +6,11 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{ColourBackwardOps, ColourOps, DetailPart};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use super::autodiff::ColourState;
+use super::{ColourOps, DetailPart};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
+use crate::backend::tape::WayBack;
 use crate::math::{add, row};
 use crate::scene::{ColourModel, SH_C0};
 
@@ -64,63 +66,30 @@ fn backward<T: Real>(
     (grad_base, grad_detail)
 }
 
-fn colour_on<B: Host>(
-    base: &FloatTensor<B>,
-    detail: &FloatTensor<B>,
-    positions: &FloatTensor<B>,
-    centre: [f64; 3],
-    part: DetailPart,
-) -> FloatTensor<B> {
-    with_real!(base.dtype(), T => {
-        let (values, detail, positions) = (host::floats::<B, T>(base), host::floats::<B, T>(detail), host::floats::<B, T>(positions));
-        let out = forward(&values, &detail, &positions, centre, part);
-        host::float_tensor::<B, T, 2>(out, [host::rows(base), 3], &base.device())
-    })
+impl<B: Host> ColourOps for B {
+    fn colour(
+        base: FloatTensor<B>,
+        detail: FloatTensor<B>,
+        positions: FloatTensor<B>,
+        centre: [f64; 3],
+        part: DetailPart,
+    ) -> FloatTensor<B> {
+        with_real!(base.dtype(), T => {
+            let [values, detail, positions] = [&base, &detail, &positions].map(host::floats::<B, T>);
+            let out = forward(&values, &detail, &positions, centre, part);
+            host::float_tensor::<B, T, 2>(out, [host::rows(&base), 3], &base.device())
+        })
+    }
 }
 
-fn colour_backward_on<B: Host>(
-    detail: &FloatTensor<B>,
-    positions: &FloatTensor<B>,
-    grad: &FloatTensor<B>,
-    centre: [f64; 3],
-    part: DetailPart,
-) -> (FloatTensor<B>, FloatTensor<B>) {
-    let (count, device) = (host::rows(grad), grad.device());
-    with_real!(grad.dtype(), T => {
-        let (detail, positions, grad) = (host::floats::<B, T>(detail), host::floats::<B, T>(positions), host::floats::<B, T>(grad));
-        let (base, detail) = backward(&detail, &positions, &grad, centre, part);
-        (
-            host::float_tensor::<B, T, 2>(base, [count, 3], &device),
-            host::float_tensor::<B, T, 2>(detail, [count, part.width], &device),
-        )
-    })
+impl<B: Host> WayBack<B, 2> for ColourState<B> {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 2] {
+        let (count, device) = (host::rows(&grad), grad.device());
+        with_real!(grad.dtype(), T => {
+            let [detail, positions, grad] = [&self.detail, &self.positions, &grad].map(host::floats::<B, T>);
+            let (base, detail) = backward(&detail, &positions, &grad, self.centre, self.part);
+            [(base, 3), (detail, self.part.width)]
+                .map(|(values, width)| Some(host::float_tensor::<B, T, 2>(values, [count, width], &device)))
+        })
+    }
 }
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl ColourOps for $backend {
-            fn colour(
-                base: FloatTensor<Self>,
-                detail: FloatTensor<Self>,
-                positions: FloatTensor<Self>,
-                centre: [f64; 3],
-                part: DetailPart,
-            ) -> FloatTensor<Self> {
-                colour_on::<Self>(&base, &detail, &positions, centre, part)
-            }
-        }
-
-        impl ColourBackwardOps for $backend {
-            fn colour_backward(
-                detail: FloatTensor<Self>,
-                positions: FloatTensor<Self>,
-                grad: FloatTensor<Self>,
-                centre: [f64; 3],
-                part: DetailPart,
-            ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-                colour_backward_on::<Self>(&detail, &positions, &grad, centre, part)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

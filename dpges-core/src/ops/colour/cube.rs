@@ -3,9 +3,12 @@
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{ColourBackwardOps, ColourOps, DetailPart, LARGEST_BETA, SHARPNESS};
+use super::autodiff::ColourState;
+use super::{ColourOps, DetailPart, LARGEST_BETA, SHARPNESS};
+use crate::backend::tape::WayBack;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
 use crate::gpu::vector::{Vec3, dot, row3, scale, sin_cos, vec3, write3};
 use crate::scene::{ColourModel, SH_C0};
@@ -85,41 +88,24 @@ fn lobe(detail: &[f32], o: usize, d: Vec3) -> Lobe {
 pub fn harmonic(d: Vec3, #[comptime] index: usize) -> f32 {
     let (x, y, z) = (d.x, d.y, d.z);
     let (xx, yy, zz) = (x * x, y * y, z * z);
-    let mut value = 0.0f32;
-    if comptime!(index == 0) {
-        value = C0;
-    } else if comptime!(index == 1) {
-        value = -0.488_602_52f32 * y;
-    } else if comptime!(index == 2) {
-        value = 0.488_602_52f32 * z;
-    } else if comptime!(index == 3) {
-        value = -0.488_602_52f32 * x;
-    } else if comptime!(index == 4) {
-        value = 1.092_548_5f32 * x * y;
-    } else if comptime!(index == 5) {
-        value = -1.092_548_5f32 * y * z;
-    } else if comptime!(index == 6) {
-        value = 0.315_391_57f32 * (2.0f32 * zz - xx - yy);
-    } else if comptime!(index == 7) {
-        value = -1.092_548_5f32 * x * z;
-    } else if comptime!(index == 8) {
-        value = 0.546_274_2f32 * (xx - yy);
-    } else if comptime!(index == 9) {
-        value = -0.590_043_6f32 * y * (3.0f32 * xx - yy);
-    } else if comptime!(index == 10) {
-        value = 2.890_611_4f32 * x * y * z;
-    } else if comptime!(index == 11) {
-        value = -0.457_045_8f32 * y * (4.0f32 * zz - xx - yy);
-    } else if comptime!(index == 12) {
-        value = 0.373_176_34f32 * z * (2.0f32 * zz - 3.0f32 * xx - 3.0f32 * yy);
-    } else if comptime!(index == 13) {
-        value = -0.457_045_8f32 * x * (4.0f32 * zz - xx - yy);
-    } else if comptime!(index == 14) {
-        value = 1.445_305_7f32 * z * (xx - yy);
-    } else if comptime!(index == 15) {
-        value = -0.590_043_6f32 * x * (xx - 3.0f32 * yy);
+    match index {
+        0 => C0.runtime(),
+        1 => -0.488_602_52f32 * y,
+        2 => 0.488_602_52f32 * z,
+        3 => -0.488_602_52f32 * x,
+        4 => 1.092_548_5f32 * x * y,
+        5 => -1.092_548_5f32 * y * z,
+        6 => 0.315_391_57f32 * (2.0f32 * zz - xx - yy),
+        7 => -1.092_548_5f32 * x * z,
+        8 => 0.546_274_2f32 * (xx - yy),
+        9 => -0.590_043_6f32 * y * (3.0f32 * xx - yy),
+        10 => 2.890_611_4f32 * x * y * z,
+        11 => -0.457_045_8f32 * y * (4.0f32 * zz - xx - yy),
+        12 => 0.373_176_34f32 * z * (2.0f32 * zz - 3.0f32 * xx - 3.0f32 * yy),
+        13 => -0.457_045_8f32 * x * (4.0f32 * zz - xx - yy),
+        14 => 1.445_305_7f32 * z * (xx - yy),
+        _ => -0.590_043_6f32 * x * (xx - 3.0f32 * yy),
     }
-    value
 }
 
 /// Lobes and higher harmonics of a part; one of the two is 0.
@@ -259,17 +245,11 @@ impl ColourOps for CubeBackend {
     }
 }
 
-impl ColourBackwardOps for CubeBackend {
-    fn colour_backward(
-        detail: FloatTensor<Self>,
-        positions: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        centre: [f64; 3],
-        part: DetailPart,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (detail, positions, grad) = (floats(detail), floats(positions), floats(grad));
+impl WayBack<CubeBackend, 2> for ColourState<CubeBackend> {
+    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 2] {
+        let [detail, positions, grad] = [self.detail, self.positions, grad].map(floats);
         let count = grad.shape()[0];
-        let (base, out) = (empty_f32(&grad, [count, 3]), empty_f32(&grad, [count, part.width]));
+        let (base, out) = (empty_f32(&grad, [count, 3]), empty_f32(&grad, [count, self.part.width]));
         colour_backward_kernel::launch(
             &grad.client.clone(),
             units(count),
@@ -279,9 +259,9 @@ impl ColourBackwardOps for CubeBackend {
             buffer(&grad),
             buffer(&base),
             buffer(&out),
-            eye(centre, count),
-            PartShape::of(part),
+            eye(self.centre, count),
+            PartShape::of(self.part),
         );
-        (base, out)
+        [Some(base), Some(out)]
     }
 }

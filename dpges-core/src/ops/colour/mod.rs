@@ -54,17 +54,6 @@ pub trait ColourOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait ColourBackwardOps: Backend {
-    fn colour_backward(
-        detail: FloatTensor<Self>,
-        positions: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        centre: [f64; 3],
-        part: DetailPart,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>);
-}
-
 /// Colours [N, 3] of primitives at `positions` [N, 3] seen from `centre`, world
 /// units.
 ///

@@ -11,39 +11,26 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, TensorMetadata};
 
 use super::{
-    CompositeBackwardOps, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, OutputGradients, OutputKind,
+    CompositeBackwardOps, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, CompositeState,
+    OutputGradients, OutputKind,
 };
+use crate::backend::tape::{WayBack, on_tape};
 
 /// The gradients that have arrived for the outputs of a call.
 type Arrived<B> = Arc<Mutex<OutputGradients<B>>>;
 
+/// Keeps the gradient of an output for the node of the call.
 #[derive(Clone, Debug)]
 struct OutputState<B: Backend> {
     kind: OutputKind,
     arrived: Arrived<B>,
 }
 
-/// Keeps the gradient of an output for the node of the call.
-#[derive(Debug)]
-struct OutputBackward;
-
-impl<B: Backend> Backward<B, 1> for OutputBackward {
-    type State = OutputState<B>;
-
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let OutputState { kind, arrived } = ops.state;
-        let grad = grads.consume::<B>(&ops.node);
-        arrived.lock().unwrap_or_else(PoisonError::into_inner).keep(kind, grad);
+impl<B: Backend> WayBack<B, 1> for OutputState<B> {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
+        self.arrived.lock().unwrap_or_else(PoisonError::into_inner)[self.kind as usize] = Some(grad);
+        [None]
     }
-}
-
-#[derive(Clone, Debug)]
-struct CompositeState<B: Backend> {
-    input: CompositeInput<B>,
-    image: FloatTensor<B>,
-    gaussian_weight: FloatTensor<B>,
-    options: CompositeOptions,
-    arrived: Arrived<B>,
 }
 
 /// Goes back from all outputs of a call.
@@ -51,25 +38,19 @@ struct CompositeState<B: Backend> {
 struct CompositeBackward;
 
 impl<B: CompositeBackwardOps> Backward<B, 3> for CompositeBackward {
-    type State = CompositeState<B>;
+    type State = (CompositeState<B>, Arrived<B>);
 
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let CompositeState { input, image, gaussian_weight, options, arrived } = ops.state;
+        let (state, arrived) = ops.state;
         let of_outputs = std::mem::take(&mut *arrived.lock().unwrap_or_else(PoisonError::into_inner));
-        let reached = of_outputs.reached();
-        let (colours, sums) = (input.colours.clone(), input.sums.clone());
-        let out = B::composite_backward(input, image, gaussian_weight, of_outputs, options);
-        // the tape expects a gradient for all that is on it
-        let zeros = |like: FloatTensor<B>| B::float_zeros(like.shape(), &like.device(), like.dtype().into());
-        let [of_alpha, of_colours, of_sums] = ops.parents;
-        if let Some(parent) = of_alpha {
-            grads.register::<B>(parent.id, out.alpha);
-        }
-        if let Some(parent) = of_colours {
-            grads.register::<B>(parent.id, if reached.colours() { out.colours } else { zeros(colours) });
-        }
-        if let Some(parent) = of_sums {
-            grads.register::<B>(parent.id, if reached.sums() { out.sums } else { zeros(sums) });
+        let CompositeInput { alpha, colours, sums, .. } = state.input.clone();
+        let found = B::composite_backward(state, of_outputs);
+        for ((parent, grad), like) in ops.parents.into_iter().zip(found).zip([alpha, colours, sums]) {
+            if let Some(parent) = parent {
+                // the tape expects a gradient for all that is on it
+                let zeros = || B::float_zeros(like.shape(), &like.device(), like.dtype().into());
+                grads.register::<B>(parent.id, grad.unwrap_or_else(zeros));
+            }
         }
     }
 }
@@ -87,18 +68,14 @@ impl<B: CompositeOps + CompositeBackwardOps, S: CheckpointStrategy> CompositeOps
         let call = match CompositeBackward.prepare::<S>(nodes).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
                 let (image, gaussian_weight) = (out.image.clone(), out.gaussian_weight.clone());
-                let arrived = arrived.clone();
-                let state = CompositeState { input, image, gaussian_weight, options, arrived };
-                prep.finish(state, out.gaussian_weight.clone())
+                let state = CompositeState { input, image, gaussian_weight, options };
+                prep.finish((state, arrived.clone()), out.gaussian_weight.clone())
             }
             OpsKind::UnTracked(prep) => prep.finish(out.gaussian_weight.clone()),
         };
         let output = |value: FloatTensor<B>, kind: OutputKind| {
             let node = call.clone().into_parts().1;
-            match OutputBackward.prepare::<S>([node]).compute_bound().stateful() {
-                OpsKind::Tracked(prep) => prep.finish(OutputState { kind, arrived: arrived.clone() }, value),
-                OpsKind::UnTracked(prep) => prep.finish(value),
-            }
+            on_tape::<B, S, _, _>([node], |_| (value, OutputState { kind, arrived: arrived.clone() }))
         };
         CompositeOutput {
             image: output(out.image, OutputKind::Image),

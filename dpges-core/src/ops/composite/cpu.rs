@@ -1,14 +1,14 @@
 //! CPU kernels: one task per band of image rows.
 
+use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, TensorMetadata};
 use rayon::prelude::*;
 
 use super::{
-    CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
+    CompositeBackwardOps, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, CompositeState,
     OutputGradients, Reached,
 };
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
 use crate::math::{V3, add, dot, row, scale};
 use crate::ops::peel::MAX_LAYERS;
@@ -149,30 +149,8 @@ struct Incoming<T, const N: usize> {
     behind: T,
 }
 
-/// Gradients with respect to the outputs, those that have arrived.
-struct Grads<'a, T> {
-    image: Option<&'a [T]>,
-    surfel_image: Option<&'a [T]>,
-    transmittance: Option<&'a [T]>,
-    gaussian_colour: Option<&'a [T]>,
-    gaussian_weight: Option<&'a [T]>,
-}
-
-impl<T: Real> Grads<'_, T> {
-    /// Calls `kernel` with the tensors as slices.
-    fn with<B: Host, R>(grads: &OutputGradients<B>, kernel: impl FnOnce(&Grads<T>) -> R) -> R {
-        let [image, surfel_image, transmittance, gaussian_colour, gaussian_weight] =
-            [&grads.image, &grads.surfel_image, &grads.transmittance, &grads.gaussian_colour, &grads.gaussian_weight]
-                .map(|grad| grad.as_ref().map(host::floats::<B, T>));
-        kernel(&Grads {
-            image: image.as_deref(),
-            surfel_image: surfel_image.as_deref(),
-            transmittance: transmittance.as_deref(),
-            gaussian_colour: gaussian_colour.as_deref(),
-            gaussian_weight: gaussian_weight.as_deref(),
-        })
-    }
-}
+/// [`OutputGradients`] as slices.
+type Grads<'a, T> = [Option<&'a [T]>; 5];
 
 #[inline(always)]
 fn incoming<T: Real, const N: usize>(
@@ -185,21 +163,22 @@ fn incoming<T: Real, const N: usize>(
     let rgb = |grad: &[T]| -> V3<T> { std::array::from_fn(|c| grad[c * plane + at]) };
     let zero = [T::zero(); 3];
     let none = T::zero();
+    let [of_image, of_surfel_image, of_transmittance, of_colour, of_weight] = *grads;
     let mut out = Incoming { surfel: zero, gaussian: zero, weight: none, transmittance: [none; N], behind: none };
-    if let Some(grad) = grads.image {
+    if let Some(grad) = of_image {
         let blended = scale(rgb(grad), T::one() / (T::one() + pixel.gaussian_weight));
         (out.surfel, out.gaussian, out.weight) = (blended, blended, -dot(blended, pixel.image()));
     }
-    if let Some(grad) = grads.surfel_image {
+    if let Some(grad) = of_surfel_image {
         out.surfel = add(out.surfel, rgb(grad));
     }
-    if let Some(grad) = grads.gaussian_colour {
+    if let Some(grad) = of_colour {
         out.gaussian = add(out.gaussian, rgb(grad));
     }
-    if let Some(grad) = grads.gaussian_weight {
+    if let Some(grad) = of_weight {
         out.weight = out.weight + grad[at];
     }
-    if let Some(grad) = grads.transmittance {
+    if let Some(grad) = of_transmittance {
         for k in 0..inputs.count::<N>() {
             out.transmittance[k] = grad[k * plane + at];
         }
@@ -257,73 +236,36 @@ fn backward<T: Real, const N: usize>(inputs: &Inputs<T>, grads: &Grads<T>, reach
     [grad_alpha, grad_colours, grad_sums]
 }
 
-fn composite_on<B: Host>(input: &CompositeInput<B>, options: &CompositeOptions) -> CompositeOutput<B> {
-    let device = input.alpha.device();
-    with_real!(input.alpha.dtype(), T => Inputs::<T>::with(input, options, |inputs| {
-        let [image, surfel_image, transmittance, gaussian_colour, gaussian_weight] =
-            if inputs.layers == UNROLLED { forward::<T, UNROLLED>(inputs) } else { forward::<T, MAX_LAYERS>(inputs) };
-        let tensor = |values: Vec<T>, planes| image_tensor::<B, T>(values, planes, inputs, &device);
-        CompositeOutput {
-            image: tensor(image, 3),
-            surfel_image: tensor(surfel_image, 3),
-            transmittance: tensor(transmittance, inputs.layers + 1),
-            gaussian_colour: tensor(gaussian_colour, 3),
-            gaussian_weight: tensor(gaussian_weight, 1),
-        }
-    }))
+impl<B: Host> CompositeOps for B {
+    fn composite(input: CompositeInput<B>, options: CompositeOptions) -> CompositeOutput<B> {
+        let device = input.alpha.device();
+        with_real!(input.alpha.dtype(), T => Inputs::<T>::with(&input, &options, |inputs| {
+            let forward = if inputs.layers == UNROLLED { forward::<T, UNROLLED> } else { forward::<T, MAX_LAYERS> };
+            let [image, surfel_image, transmittance, gaussian_colour, gaussian_weight] = forward(inputs).map(|values| {
+                let shape = [values.len() / (inputs.height * inputs.width), inputs.height, inputs.width];
+                host::float_tensor::<B, T, 3>(values, shape, &device)
+            });
+            CompositeOutput { image, surfel_image, transmittance, gaussian_colour, gaussian_weight }
+        }))
+    }
 }
 
-fn image_tensor<B: Backend, T: Real>(
-    values: Vec<T>,
-    planes: usize,
-    inputs: &Inputs<T>,
-    device: &B::Device,
-) -> FloatTensor<B> {
-    host::float_tensor::<B, T, 3>(values, [planes, inputs.height, inputs.width], device)
+impl<B: Host> CompositeBackwardOps for B {
+    fn composite_backward(state: CompositeState<B>, grads: OutputGradients<B>) -> [Option<FloatTensor<B>>; 3] {
+        let CompositeState { input, options, .. } = state;
+        let (device, reached) = (input.alpha.device(), Reached::new::<B>(&grads));
+        with_real!(input.alpha.dtype(), T => Inputs::<T>::with(&input, &options, |inputs| {
+            let grads = grads.each_ref().map(|grad| grad.as_ref().map(host::floats::<B, T>));
+            let grads = grads.each_ref().map(Option::as_deref);
+            let backward = if inputs.layers == UNROLLED { backward::<T, UNROLLED> } else { backward::<T, MAX_LAYERS> };
+            let [alpha, colours, sums] = backward(inputs, &grads, reached);
+            let &Inputs { layers, height, width, .. } = inputs;
+            let count = colours.len() / 3;
+            [
+                Some(host::float_tensor::<B, T, 3>(alpha, [layers, height, width], &device)),
+                reached.colours().then(|| host::float_tensor::<B, T, 2>(colours, [count, 3], &device)),
+                reached.sums().then(|| host::float_tensor::<B, T, 4>(sums, [layers, 4, height, width], &device)),
+            ]
+        }))
+    }
 }
-
-fn composite_backward_on<B: Host>(
-    input: &CompositeInput<B>,
-    grads: &OutputGradients<B>,
-    options: &CompositeOptions,
-) -> CompositeGradients<B> {
-    let (device, reached) = (input.alpha.device(), grads.reached());
-    with_real!(input.alpha.dtype(), T => Inputs::<T>::with(input, options, |inputs| {
-        let [alpha, colours, sums] = Grads::<T>::with(grads, |grads| {
-            if inputs.layers == UNROLLED {
-                backward::<T, UNROLLED>(inputs, grads, reached)
-            } else {
-                backward::<T, MAX_LAYERS>(inputs, grads, reached)
-            }
-        });
-        let (count, sum_layers) = (colours.len() / 3, if reached.sums() { inputs.layers } else { 0 });
-        CompositeGradients {
-            alpha: image_tensor::<B, T>(alpha, inputs.layers, inputs, &device),
-            colours: host::float_tensor::<B, T, 2>(colours, [count, 3], &device),
-            sums: host::float_tensor::<B, T, 4>(sums, [sum_layers, 4, inputs.height, inputs.width], &device),
-        }
-    }))
-}
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl CompositeOps for $backend {
-            fn composite(input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self> {
-                composite_on::<Self>(&input, &options)
-            }
-        }
-
-        impl CompositeBackwardOps for $backend {
-            fn composite_backward(
-                input: CompositeInput<Self>,
-                _: FloatTensor<Self>,
-                _: FloatTensor<Self>,
-                grads: OutputGradients<Self>,
-                options: CompositeOptions,
-            ) -> CompositeGradients<Self> {
-                composite_backward_on::<Self>(&input, &grads, &options)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

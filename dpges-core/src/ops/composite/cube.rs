@@ -2,13 +2,12 @@
 //! surfel is a layer.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::{
-    CompositeBackwardOps, CompositeGradients, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput,
+    CompositeBackwardOps, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, CompositeState,
     OutputGradients, Reached,
 };
 use crate::gpu::gather::zeros;
@@ -323,11 +322,6 @@ fn blend(shape: [usize; 3], options: &CompositeOptions) -> BlendLaunch {
     BlendLaunch::new(red, green, blue, (height * width) as u32, width as u32, gate)
 }
 
-/// A buffer that no kernel reads or writes.
-fn unused(like: &CubeTensor) -> CubeTensor {
-    empty_f32(like, [0, 3])
-}
-
 impl CompositeOps for CubeBackend {
     fn composite(input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self> {
         let input = contiguous(input);
@@ -372,28 +366,24 @@ impl CompositeOps for CubeBackend {
 }
 
 impl CompositeBackwardOps for CubeBackend {
-    fn composite_backward(
-        input: CompositeInput<Self>,
-        image: FloatTensor<Self>,
-        gaussian_weight: FloatTensor<Self>,
-        grads: OutputGradients<Self>,
-        options: CompositeOptions,
-    ) -> CompositeGradients<Self> {
+    fn composite_backward(state: CompositeState<Self>, grads: OutputGradients<Self>) -> [Option<CubeTensor>; 3] {
+        let CompositeState { input, image, gaussian_weight, options } = state;
         let (input, image, gaussian_weight) = (contiguous(input), floats(image), floats(gaussian_weight));
         let shape: [usize; 3] = input.alpha.shape().dims();
         let [layers, height, width] = shape;
         let (like, client, count) = (&input.alpha, image.client.clone(), input.colours.shape()[0]);
-        let reached = grads.reached();
-        let arrived = |grad: Option<CubeTensor>| grad.map_or_else(|| unused(like), floats);
+        let reached = Reached::new::<Self>(&grads);
+        let [of_image, of_surfel_image, of_transmittance, of_colour, of_weight] =
+            grads.map(|grad| grad.map_or_else(|| empty_f32(like, [0]), floats));
         let parts = empty_f32(like, [PARTS, height, width]);
         parts_backward_kernel::launch(
             &client,
             units(height * width),
             cube_dim(),
-            buffer(&arrived(grads.image)),
-            buffer(&arrived(grads.surfel_image)),
-            buffer(&arrived(grads.gaussian_colour)),
-            buffer(&arrived(grads.gaussian_weight)),
+            buffer(&of_image),
+            buffer(&of_surfel_image),
+            buffer(&of_colour),
+            buffer(&of_weight),
             buffer(&image),
             buffer(&gaussian_weight),
             buffer(&parts),
@@ -410,14 +400,14 @@ impl CompositeBackwardOps for CubeBackend {
             buffer(&input.ids),
             buffer(&input.sums),
             buffer(&parts),
-            buffer(&arrived(grads.transmittance)),
+            buffer(&of_transmittance),
             buffer(&alpha),
             blend(shape, &options),
             layers,
             reached,
         );
-        let sums = empty_f32(like, [if reached.sums() { layers } else { 0 }, 4, height, width]);
-        if reached.sums() {
+        let sums = reached.sums().then(|| {
+            let sums = empty_f32(like, [layers, 4, height, width]);
             sums_backward_kernel::launch(
                 &client,
                 units(height * width),
@@ -428,9 +418,9 @@ impl CompositeBackwardOps for CubeBackend {
                 blend(shape, &options),
                 layers,
             );
-        }
-        let mut colours = unused(like);
-        if reached.colours() {
+            sums
+        });
+        let colours = reached.colours().then(|| {
             let pieces = visible_pieces(&input.ids, count);
             let gathered = empty_f32(like, [pieces.most, 3]);
             colours_backward_kernel::launch(
@@ -446,8 +436,8 @@ impl CompositeBackwardOps for CubeBackend {
                 pieces.most as u32,
                 layers,
             );
-            colours = pieces.collect(&gathered, 0, 3);
-        }
-        CompositeGradients { alpha, colours, sums }
+            pieces.collect(&gathered, 0, 3)
+        });
+        [Some(alpha), colours, sums]
     }
 }

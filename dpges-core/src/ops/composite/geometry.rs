@@ -1,7 +1,7 @@
 //! Depth and normal of the surfel layers, blended like their colours. Only geometry losses and pictures use
 //! them, so they are plain tensor operations.
 
-use burn::tensor::Tensor;
+use burn::tensor::{Tensor, TensorData};
 
 use crate::camera::Camera;
 use crate::counters::transfers::upload;
@@ -17,10 +17,14 @@ pub struct Geometry {
     pub normal: Tensor<3>,
 }
 
+/// A tensor of the type and on the device of `like`.
+pub fn uploaded<const D: usize, const L: usize>(values: Vec<f64>, shape: [usize; D], like: &Tensor<L>) -> Tensor<D> {
+    let dtype = like.dtype();
+    Tensor::from_data(upload(TensorData::new(values, shape).convert_dtype(dtype)), (&like.device(), dtype))
+}
+
 /// Unit normals [N, 3] of surfels in world axes, towards the camera. The side carries no gradient.
 fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
-    let device = surfels.positions.device();
-    let dtype = surfels.positions.dtype();
     let squared = surfels.quaternions.clone().powi_scalar(2).sum_dim(1);
     let zero = squared.clone().lower_equal_elem(1e-24);
     let unit = surfels.quaternions.clone() / squared.mask_fill(zero.clone(), 1.0).sqrt();
@@ -34,11 +38,8 @@ fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
         ],
         1,
     );
-    let centre = Tensor::<1>::from_data(
-        upload(burn::tensor::TensorData::from(camera.centre().to_array()).convert_dtype(dtype)),
-        (&device, dtype),
-    );
-    let offset = surfels.positions.clone().detach() - centre.unsqueeze::<2>();
+    let centre = uploaded(camera.centre().to_array().to_vec(), [1, 3], &surfels.positions);
+    let offset = surfels.positions.clone().detach() - centre;
     let away = (column.clone().detach() * offset).sum_dim(1).greater_elem(0.0);
     let flip =
         column.clone().detach().slice([0..surfels.len(), 0..1]).zeros_like().add_scalar(1.0).mask_fill(away, -1.0);

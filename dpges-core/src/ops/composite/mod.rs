@@ -29,6 +29,7 @@ use crate::error::Result;
 use crate::ops::peel::Layers;
 use crate::scene::tensors::check_shape;
 
+pub(crate) use geometry::uploaded;
 pub use geometry::{Geometry, geometry, layer_depth, layer_weights};
 
 /// Options without gradients.
@@ -61,47 +62,19 @@ pub struct CompositeOutput<B: Backend> {
     pub gaussian_weight: FloatTensor<B>,
 }
 
-/// Gradients with respect to the input. Those that no output with a gradient reaches are empty.
+/// What the way back needs.
 #[derive(Debug, Clone)]
-pub struct CompositeGradients<B: Backend> {
-    pub alpha: FloatTensor<B>,
-    pub colours: FloatTensor<B>,
-    pub sums: FloatTensor<B>,
+pub struct CompositeState<B: Backend> {
+    input: CompositeInput<B>,
+    image: FloatTensor<B>,
+    gaussian_weight: FloatTensor<B>,
+    options: CompositeOptions,
 }
 
-/// Gradients with respect to the outputs; `None` where none arrived.
-#[derive(Debug, Clone, Default)]
-pub struct OutputGradients<B: Backend> {
-    pub image: Option<FloatTensor<B>>,
-    pub surfel_image: Option<FloatTensor<B>>,
-    pub transmittance: Option<FloatTensor<B>>,
-    pub gaussian_colour: Option<FloatTensor<B>>,
-    pub gaussian_weight: Option<FloatTensor<B>>,
-}
+/// Gradients with respect to the outputs in the order of [`OutputKind`]; `None` where none arrived.
+pub type OutputGradients<B> = [Option<FloatTensor<B>>; 5];
 
-impl<B: Backend> OutputGradients<B> {
-    fn keep(&mut self, kind: OutputKind, grad: FloatTensor<B>) {
-        let place = match kind {
-            OutputKind::Image => &mut self.image,
-            OutputKind::SurfelImage => &mut self.surfel_image,
-            OutputKind::Transmittance => &mut self.transmittance,
-            OutputKind::GaussianColour => &mut self.gaussian_colour,
-            OutputKind::GaussianWeight => &mut self.gaussian_weight,
-        };
-        *place = Some(grad);
-    }
-
-    fn reached(&self) -> Reached {
-        Reached {
-            image: self.image.is_some(),
-            surfel_image: self.surfel_image.is_some(),
-            transmittance: self.transmittance.is_some(),
-            gaussian_colour: self.gaussian_colour.is_some(),
-            gaussian_weight: self.gaussian_weight.is_some(),
-        }
-    }
-}
-
+/// In the order of the fields of [`CompositeOutput`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum OutputKind {
     Image,
@@ -122,6 +95,12 @@ struct Reached {
 }
 
 impl Reached {
+    fn new<B: Backend>(grads: &OutputGradients<B>) -> Self {
+        let [image, surfel_image, transmittance, gaussian_colour, gaussian_weight] =
+            grads.each_ref().map(Option::is_some);
+        Self { image, surfel_image, transmittance, gaussian_colour, gaussian_weight }
+    }
+
     /// Whether gradients go on to the colours of surfels.
     fn colours(self) -> bool {
         self.image || self.surfel_image
@@ -144,14 +123,8 @@ pub trait CompositeOps: Backend {
 }
 
 pub trait CompositeBackwardOps: Backend {
-    /// `image` and `gaussian_weight` are those of the forward pass.
-    fn composite_backward(
-        input: CompositeInput<Self>,
-        image: FloatTensor<Self>,
-        gaussian_weight: FloatTensor<Self>,
-        grads: OutputGradients<Self>,
-        options: CompositeOptions,
-    ) -> CompositeGradients<Self>;
+    /// Gradients with respect to opacities, colours and sums; `None` of those that no output with a gradient reaches.
+    fn composite_backward(state: CompositeState<Self>, grads: OutputGradients<Self>) -> [Option<FloatTensor<Self>>; 3];
 }
 
 /// A composited view.

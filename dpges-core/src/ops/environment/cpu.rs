@@ -4,11 +4,14 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{EnvironmentBackwardOps, EnvironmentOps, PixelRays};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use super::EnvironmentOps;
+use super::autodiff::EnvironmentState;
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::footprint::rays::{self, Rays};
+use crate::backend::tape::WayBack;
+use crate::camera::Camera;
+use crate::footprint::rays::{Rays, rays};
 use crate::math::{CameraOf, M3, V3, apply, apply_transposed, dot, scale};
 use crate::ops::colour::cpu::model::harmonics;
 use crate::scene::{EnvironmentData, SH_C0};
@@ -28,10 +31,13 @@ enum Directions<T> {
 }
 
 impl<T: Real> Directions<T> {
-    fn new(rays: &PixelRays) -> Self {
-        match rays.bent.as_ref().and_then(|camera| Some((rays::rays(camera)?, CameraOf::<T>::new(camera)))) {
-            None => Self::Linear(rays.world_from_pixel.map(|row| row.map(T::of))),
-            Some((rays, camera)) => Self::Bent { rays, camera_from_world: camera.rotation, width: camera.width },
+    fn new(camera: &Camera) -> Self {
+        match rays(camera) {
+            None => {
+                let world_from_pixel = camera.world_from_pixel().transpose().to_cols_array_2d();
+                Self::Linear(world_from_pixel.map(|row| row.map(T::of)))
+            }
+            Some(rays) => Self::Bent { rays, camera_from_world: CameraOf::new(camera).rotation, width: camera.width },
         }
     }
 
@@ -73,9 +79,9 @@ fn basis<T: Real>(directions: &Directions<T>, x: usize, y: usize) -> [[T; LANES]
     values
 }
 
-fn forward<T: Real>(coefficients: &[T], rays: &PixelRays) -> Vec<T> {
-    let PixelRays { width, height, .. } = *rays;
-    let directions = Directions::<T>::new(rays);
+fn forward<T: Real>(coefficients: &[T], camera: &Camera) -> Vec<T> {
+    let Camera { width, height, .. } = *camera;
+    let directions = Directions::<T>::new(camera);
     let bands = Bands::new(height);
     let mut image = vec![T::zero(); 3 * width * height];
     bands.split(&mut image, width).into_par_iter().enumerate().for_each(|(band, mut planes)| {
@@ -99,9 +105,9 @@ fn forward<T: Real>(coefficients: &[T], rays: &PixelRays) -> Vec<T> {
 }
 
 /// Gradient with respect to the first `count` coefficients.
-fn backward<T: Real>(grad: &[T], rays: &PixelRays, count: usize) -> Vec<T> {
-    let PixelRays { width, height, .. } = *rays;
-    let directions = Directions::<T>::new(rays);
+fn backward<T: Real>(grad: &[T], camera: &Camera, count: usize) -> Vec<T> {
+    let Camera { width, height, .. } = *camera;
+    let directions = Directions::<T>::new(camera);
     let (bands, plane) = (Bands::new(height), width * height);
     let none = [T::zero(); LANES];
     let partial: Vec<[[[T; LANES]; 3]; MAX_COEFFICIENTS]> = (0..BAND_COUNT)
@@ -135,33 +141,20 @@ fn backward<T: Real>(grad: &[T], rays: &PixelRays, count: usize) -> Vec<T> {
     (0..3 * count).map(total).collect()
 }
 
-fn environment_on<B: Host>(coefficients: &FloatTensor<B>, rays: &PixelRays) -> FloatTensor<B> {
-    with_real!(coefficients.dtype(), T => {
-        let image = forward::<T>(&host::floats::<B, T>(coefficients), rays);
-        host::float_tensor::<B, T, 3>(image, [3, rays.height, rays.width], &coefficients.device())
-    })
+impl<B: Host> EnvironmentOps for B {
+    fn environment(coefficients: FloatTensor<B>, camera: Camera) -> FloatTensor<B> {
+        with_real!(coefficients.dtype(), T => {
+            let image = forward::<T>(&host::floats::<B, T>(&coefficients), &camera);
+            host::float_tensor::<B, T, 3>(image, [3, camera.height, camera.width], &coefficients.device())
+        })
+    }
 }
 
-fn environment_backward_on<B: Host>(grad: &FloatTensor<B>, rays: &PixelRays, count: usize) -> FloatTensor<B> {
-    with_real!(grad.dtype(), T => {
-        let coefficients = backward::<T>(&host::floats::<B, T>(grad), rays, count);
-        host::float_tensor::<B, T, 2>(coefficients, [count, 3], &grad.device())
-    })
+impl<B: Host> WayBack<B, 1> for EnvironmentState {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
+        with_real!(grad.dtype(), T => {
+            let coefficients = backward::<T>(&host::floats::<B, T>(&grad), &self.camera, self.count);
+            [Some(host::float_tensor::<B, T, 2>(coefficients, [self.count, 3], &grad.device()))]
+        })
+    }
 }
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl EnvironmentOps for $backend {
-            fn environment(coefficients: FloatTensor<Self>, rays: PixelRays) -> FloatTensor<Self> {
-                environment_on::<Self>(&coefficients, &rays)
-            }
-        }
-
-        impl EnvironmentBackwardOps for $backend {
-            fn environment_backward(grad: FloatTensor<Self>, rays: PixelRays, count: usize) -> FloatTensor<Self> {
-                environment_backward_on::<Self>(&grad, &rays, count)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

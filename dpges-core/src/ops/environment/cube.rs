@@ -3,15 +3,20 @@
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{EnvironmentBackwardOps, EnvironmentOps, PixelRays};
+use super::EnvironmentOps;
+use super::autodiff::EnvironmentState;
+use crate::backend::tape::WayBack;
+use crate::camera::Camera;
 use crate::gpu::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, floats, units};
 use crate::gpu::lens::{LensKind, LensUniforms, ray};
 use crate::gpu::vector::{Vec3, dot, row3, scale, vec3};
 use crate::ops::colour::cube::harmonic;
 
-/// [`PixelRays`] with rows x, y and z of the matrix; through a lens the matrix is the rotation to world axes.
+/// Rays of the pixels of a camera. Rows x, y and z of a matrix that maps (x, y, 1), px, to a vector along the ray in world axes, or,
+/// through a lens, of the rotation to world axes.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct Rays {
@@ -136,39 +141,39 @@ fn environment_backward_kernel(grad: &[f32], coefficients: &mut [f32], rays: Ray
     }
 }
 
-fn launch(rays: &PixelRays) -> RaysLaunch {
-    let rows = match &rays.bent {
-        None => rays.world_from_pixel,
+fn launch(camera: &Camera) -> RaysLaunch {
+    let rows = match camera.lens {
+        None => camera.world_from_pixel().transpose().to_cols_array_2d(),
         // by rows, so that the columns of the rotation are those of its transpose
-        Some(camera) => camera.camera_from_world.rotation.to_cols_array_2d(),
+        Some(_) => camera.camera_from_world.rotation.to_cols_array_2d(),
     };
     let [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] = rows.map(|row| row.map(|v| v as f32));
-    let [fx, fy, cx, cy] =
-        rays.bent.map_or([1.0, 1.0, 0.0, 0.0], |camera| [camera.fx, camera.fy, camera.cx, camera.cy]).map(|v| v as f32);
-    let lens = rays.bent.as_ref().map_or_else(LensUniforms::none, LensUniforms::launch);
-    let pixels = (rays.width * rays.height) as u32;
-    RaysLaunch::new(xx, xy, xz, yx, yy, yz, zx, zy, zz, rays.width as u32, pixels, fx, fy, cx, cy, lens)
+    let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(|v| v as f32);
+    let lens = LensUniforms::launch(camera);
+    let pixels = (camera.width * camera.height) as u32;
+    RaysLaunch::new(xx, xy, xz, yx, yy, yz, zx, zy, zz, camera.width as u32, pixels, fx, fy, cx, cy, lens)
 }
 
 impl EnvironmentOps for CubeBackend {
-    fn environment(coefficients: FloatTensor<Self>, rays: PixelRays) -> FloatTensor<Self> {
+    fn environment(coefficients: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
         let coefficients = floats(coefficients);
-        let image = empty_f32(&coefficients, [3, rays.height, rays.width]);
+        let image = empty_f32(&coefficients, [3, camera.height, camera.width]);
         environment_kernel::launch(
             &coefficients.client.clone(),
-            units(rays.width * rays.height),
+            units(camera.width * camera.height),
             cube_dim(),
             buffer(&coefficients),
             buffer(&image),
-            launch(&rays),
+            launch(&camera),
             coefficients.shape()[0],
         );
         image
     }
 }
 
-impl EnvironmentBackwardOps for CubeBackend {
-    fn environment_backward(grad: FloatTensor<Self>, rays: PixelRays, count: usize) -> FloatTensor<Self> {
+impl WayBack<CubeBackend, 1> for EnvironmentState {
+    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 1] {
+        let Self { camera, count } = self;
         let grad = floats(grad);
         let coefficients = empty_f32(&grad, [count, 3]);
         environment_backward_kernel::launch(
@@ -177,9 +182,9 @@ impl EnvironmentBackwardOps for CubeBackend {
             cube_dim(),
             buffer(&grad),
             buffer(&coefficients),
-            launch(&rays),
+            launch(&camera),
             count,
         );
-        coefficients
+        [Some(coefficients)]
     }
 }

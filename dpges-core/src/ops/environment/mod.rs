@@ -23,30 +23,6 @@ use crate::error::{Error, Result};
 use crate::scene::EnvironmentData;
 use crate::scene::schema::ENVIRONMENT;
 
-/// The rays of a camera's pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PixelRays {
-    /// By rows; maps (x, y, 1), px, to a vector along the ray in world axes, without a lens.
-    pub world_from_pixel: [[f64; 3]; 3],
-    /// The camera, if it has a lens.
-    pub bent: Option<Camera>,
-    /// px
-    pub width: usize,
-    /// px
-    pub height: usize,
-}
-
-impl From<&Camera> for PixelRays {
-    fn from(camera: &Camera) -> Self {
-        Self {
-            world_from_pixel: camera.world_from_pixel().transpose().to_cols_array_2d(),
-            bent: camera.lens.map(|_| *camera),
-            width: camera.width,
-            height: camera.height,
-        }
-    }
-}
-
 #[backend_extension(
     Cube: cfg(feature = "gpu"),
     NdArray: cfg(feature = "ndarray"),
@@ -54,13 +30,7 @@ impl From<&Camera> for PixelRays {
     Autodiff
 )]
 pub trait EnvironmentOps: Backend {
-    fn environment(coefficients: FloatTensor<Self>, rays: PixelRays) -> FloatTensor<Self>;
-}
-
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait EnvironmentBackwardOps: Backend {
-    /// [`count`, 3] from the gradient of the image [3, H, W].
-    fn environment_backward(grad: FloatTensor<Self>, rays: PixelRays, count: usize) -> FloatTensor<Self>;
+    fn environment(coefficients: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self>;
 }
 
 /// The environment [3, H, W] with `coefficients` [(degree + 1)², 3], seen by `camera`.
@@ -79,6 +49,6 @@ pub fn environment(coefficients: &Tensor<2>, camera: &Camera) -> Result<Tensor<3
         let (tensor, expected) = (ENVIRONMENT.name.to_owned(), "F32 or F64".to_owned());
         return Err(Error::DType { tensor, expected, found: format!("{dtype:?}") });
     }
-    let image = Dispatch::environment(coefficients.clone().into_dispatch(), PixelRays::from(camera));
+    let image = Dispatch::environment(coefficients.clone().into_dispatch(), *camera);
     Ok(Tensor::from_dispatch(image))
 }

@@ -5,7 +5,7 @@ use burn::backend::tensor::IntTensor;
 use rayon::prelude::*;
 
 use super::{FiniteOps, GateOutput};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
 use crate::backend::tensor_list::TensorList;
 
@@ -20,43 +20,21 @@ fn first_non_finite<T: Real>(values: &[T]) -> i32 {
     chunk.and_then(within).map_or(-1, |at| i32::try_from(at).unwrap_or(i32::MAX))
 }
 
-fn first_non_finite_on<B: Host>(
-    list: TensorList<B>,
-    count: usize,
-    positions: &IntTensor<B>,
-    first: usize,
-) -> IntTensor<B> {
-    let mut found = host::ints::<B>(positions).into_owned();
-    for (tensor, found) in list.into_tensors().iter().take(count).zip(&mut found[first..]) {
-        *found = with_real!(tensor.dtype(), T => first_non_finite(&host::floats::<B, T>(tensor)));
-    }
-    let shape = [found.len()];
-    host::int_tensor::<B, 1>(found, shape, &positions.device())
-}
-
-fn gate_on<B: Host>(positions: &IntTensor<B>) -> GateOutput<B> {
-    let bad = host::ints::<B>(positions).iter().filter(|&&position| position >= 0).count() as f32;
-    let open = if bad == 0.0 { 1.0 } else { 0.0 };
-    let [open, bad] = [open, bad].map(|number| host::float_tensor::<B, f32, 1>(vec![number], [1], &positions.device()));
-    GateOutput { open, bad }
-}
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl FiniteOps for $backend {
-            fn first_non_finite(
-                list: TensorList<Self>,
-                count: usize,
-                positions: IntTensor<Self>,
-                first: usize,
-            ) -> IntTensor<Self> {
-                first_non_finite_on::<Self>(list, count, &positions, first)
-            }
-
-            fn gate(positions: IntTensor<Self>) -> GateOutput<Self> {
-                gate_on::<Self>(&positions)
-            }
+impl<B: Host> FiniteOps for B {
+    fn first_non_finite(list: TensorList<B>, count: usize, positions: IntTensor<B>, first: usize) -> IntTensor<B> {
+        let mut found = host::ints::<B>(&positions).into_owned();
+        for (tensor, found) in list.into_tensors().iter().take(count).zip(&mut found[first..]) {
+            *found = with_real!(tensor.dtype(), T => first_non_finite(&host::floats::<B, T>(tensor)));
         }
-    };
+        let shape = [found.len()];
+        host::int_tensor::<B, 1>(found, shape, &positions.device())
+    }
+
+    fn gate(positions: IntTensor<B>) -> GateOutput<B> {
+        let bad = host::ints::<B>(&positions).iter().filter(|&&position| position >= 0).count() as f32;
+        let open = if bad == 0.0 { 1.0 } else { 0.0 };
+        let [open, bad] =
+            [open, bad].map(|number| host::float_tensor::<B, f32, 1>(vec![number], [1], &positions.device()));
+        GateOutput { open, bad }
+    }
 }
-for_each_cpu_backend!(implement);

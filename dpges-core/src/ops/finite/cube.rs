@@ -6,20 +6,8 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::{FiniteOps, GateOutput};
-use crate::backend::tensor_list::{LIST_LENGTH, TensorList};
+use crate::backend::tensor_list::{LIST_LENGTH, PerTensor, TensorList};
 use crate::gpu::launch::{buffer, cube_dim, cubes, empty_f32, floats, units};
-
-/// Numbers in each tensor of a list.
-#[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-struct Counts {
-    first: u32,
-    second: u32,
-    third: u32,
-    fourth: u32,
-    fifth: u32,
-    sixth: u32,
-}
 
 /// Lowers the position of a tensor to a place with a bad number. Without one it is the largest number, which as a signed
 /// one is −1.
@@ -34,7 +22,7 @@ fn look(values: &[f32], count: u32, positions: &[Atomic<u32>], tensor: u32) {
     }
 }
 
-/// The tensors have the positions from `from` on.
+/// The tensors have these `counts` of numbers, and the positions from `from` on.
 #[cube(launch)]
 fn finite_kernel(
     first: &[f32],
@@ -44,7 +32,7 @@ fn finite_kernel(
     fifth: &[f32],
     sixth: &[f32],
     positions: &[Atomic<u32>],
-    counts: Counts,
+    counts: PerTensor,
     from: u32,
 ) {
     look(first, counts.first, positions, from);
@@ -78,7 +66,6 @@ impl FiniteOps for CubeBackend {
         let positions = if positions.can_mut() { positions } else { positions.copy() };
         let numbers: [usize; LIST_LENGTH] =
             std::array::from_fn(|at| if at < count { tensors[at].shape().num_elements() } else { 0 });
-        let [a, b, c, d, e, f] = numbers.map(|count| count as u32);
         let client = positions.client.clone();
         finite_kernel::launch(
             &client,
@@ -91,7 +78,7 @@ impl FiniteOps for CubeBackend {
             buffer(&tensors[4]),
             buffer(&tensors[5]),
             buffer(&positions),
-            CountsLaunch::new(a, b, c, d, e, f),
+            PerTensor::launch(numbers),
             first as u32,
         );
         positions

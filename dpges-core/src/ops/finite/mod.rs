@@ -3,7 +3,6 @@
 //! Any float tensors → an integer each: position in row-major order of the first NaN or infinity, −1 if there is none; and
 //! a gate that is open if there is none in any. Training checks every step with it. No gradients.
 
-mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
@@ -25,12 +24,7 @@ pub struct GateOutput<B: Backend> {
     pub bad: FloatTensor<B>,
 }
 
-#[backend_extension(
-    Cube: cfg(feature = "gpu"),
-    NdArray: cfg(feature = "ndarray"),
-    Flex: cfg(feature = "flex"),
-    Autodiff
-)]
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait FiniteOps: Backend {
     /// `positions` `[n]`, which are −1 so far, with those of the first `count` tensors of `list` from place `first` on.
     fn first_non_finite(
@@ -46,19 +40,18 @@ pub trait FiniteOps: Backend {
 /// Tensors to check.
 #[derive(Default)]
 pub struct FiniteChecks {
-    names: Vec<String>,
+    /// Names, and numbers in a row.
+    names: Vec<(String, usize)>,
     tensors: Vec<FloatTensor<Dispatch>>,
-    row_lens: Vec<usize>,
     /// The device of the first tensor.
     device: Option<Device>,
 }
 
 impl FiniteChecks {
     pub fn add<const D: usize>(&mut self, name: impl Into<String>, tensor: &Tensor<D>) {
-        self.names.push(name.into());
-        self.row_lens.push(tensor.dims()[1..].iter().product::<usize>().max(1));
-        self.device.get_or_insert_with(|| tensor.device());
-        self.tensors.push(tensor.clone().into_dispatch());
+        self.names.push((name.into(), tensor.dims()[1..].iter().product::<usize>().max(1)));
+        self.device.get_or_insert_with(|| tensor.device().inner());
+        self.tensors.push(tensor.clone().inner().into_dispatch());
     }
 
     /// Launches the checks, of several tensors at once.
@@ -73,15 +66,15 @@ impl FiniteChecks {
             positions =
                 Dispatch::first_non_finite(TensorList::of(tensors), tensors.len(), positions, list * LIST_LENGTH);
         }
-        FiniteResults { names: self.names, row_lens: self.row_lens, positions: Tensor::from_dispatch(positions) }
+        FiniteResults { names: self.names, positions: Tensor::from_dispatch(positions) }
     }
 }
 
 /// The results of [`FiniteChecks`]. They stay on the device until they are read.
 #[derive(Clone)]
 pub struct FiniteResults {
-    names: Vec<String>,
-    row_lens: Vec<usize>,
+    /// As in [`FiniteChecks`].
+    names: Vec<(String, usize)>,
     /// `[tensors]`
     positions: Tensor<1, Int>,
 }
@@ -112,7 +105,7 @@ impl FiniteResults {
     /// [`Error::NonFinite`] with the name of the first tensor that holds a bad value, and its row (first dimension).
     pub fn check(&self) -> Result<()> {
         let positions = wait(|| download(self.positions().into_data()));
-        for ((name, row_len), position) in self.names.iter().zip(&self.row_lens).zip(positions.iter::<i64>()) {
+        for ((name, row_len), position) in self.names.iter().zip(positions.iter::<i64>()) {
             if let Ok(position) = usize::try_from(position) {
                 return Err(Error::NonFinite { tensor: name.clone(), row: position / row_len });
             }

@@ -4,9 +4,11 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{HarmonicsBackwardOps, HarmonicsOps};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use super::HarmonicsOps;
+use super::autodiff::HarmonicsState;
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
+use crate::backend::tape::WayBack;
 use crate::math::row;
 use crate::ops::colour::cpu::model::{direction, harmonics};
 use crate::scene::SH_C0;
@@ -24,8 +26,8 @@ fn forward<T: Real>(base: &[T], detail: &[T], positions: &[T], centre: [f64; 3])
 }
 
 /// Gradients with respect to base and detail.
-fn backward<T: Real>(positions: &[T], grad: &[T], centre: [f64; 3], coefficients: usize) -> (Vec<T>, Vec<T>) {
-    let (width, centre) = (coefficients - 1, centre.map(T::of));
+fn backward<T: Real>(positions: &[T], grad: &[T], centre: [f64; 3], width: usize) -> (Vec<T>, Vec<T>) {
+    let centre = centre.map(T::of);
     let base = grad.iter().map(|&g| g * T::of(SH_C0)).collect();
     let mut detail = vec![T::zero(); grad.len() * width];
     if width > 0 {
@@ -37,60 +39,30 @@ fn backward<T: Real>(positions: &[T], grad: &[T], centre: [f64; 3], coefficients
     (base, detail)
 }
 
-fn harmonics_on<B: Host>(
-    base: &FloatTensor<B>,
-    detail: &FloatTensor<B>,
-    positions: &FloatTensor<B>,
-    centre: [f64; 3],
-) -> FloatTensor<B> {
-    let (count, device) = (host::rows(base), base.device());
-    with_real!(base.dtype(), T => {
-        let (base, detail, positions) = (host::floats::<B, T>(base), host::floats::<B, T>(detail), host::floats::<B, T>(positions));
-        let out = forward(&base, &detail, &positions, centre);
-        host::float_tensor::<B, T, 2>(out, [count, 1], &device)
-    })
+impl<B: Host> HarmonicsOps for B {
+    fn harmonics(
+        base: FloatTensor<B>,
+        detail: FloatTensor<B>,
+        positions: FloatTensor<B>,
+        centre: [f64; 3],
+    ) -> FloatTensor<B> {
+        let (count, device) = (host::rows(&base), base.device());
+        with_real!(base.dtype(), T => {
+            let [base, detail, positions] = [&base, &detail, &positions].map(host::floats::<B, T>);
+            let out = forward(&base, &detail, &positions, centre);
+            host::float_tensor::<B, T, 2>(out, [count, 1], &device)
+        })
+    }
 }
 
-fn harmonics_backward_on<B: Host>(
-    positions: &FloatTensor<B>,
-    grad: &FloatTensor<B>,
-    centre: [f64; 3],
-    coefficients: usize,
-) -> (FloatTensor<B>, FloatTensor<B>) {
-    let (count, device) = (host::rows(grad), grad.device());
-    with_real!(grad.dtype(), T => {
-        let (positions, grad) = (host::floats::<B, T>(positions), host::floats::<B, T>(grad));
-        let (base, detail) = backward(&positions, &grad, centre, coefficients);
-        (
-            host::float_tensor::<B, T, 2>(base, [count, 1], &device),
-            host::float_tensor::<B, T, 2>(detail, [count, coefficients - 1], &device),
-        )
-    })
+impl<B: Host> WayBack<B, 2> for HarmonicsState<B> {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 2] {
+        let (count, device) = (host::rows(&grad), grad.device());
+        with_real!(grad.dtype(), T => {
+            let [positions, grad] = [&self.positions, &grad].map(host::floats::<B, T>);
+            let (base, detail) = backward(&positions, &grad, self.centre, self.higher);
+            [(base, 1), (detail, self.higher)]
+                .map(|(values, width)| Some(host::float_tensor::<B, T, 2>(values, [count, width], &device)))
+        })
+    }
 }
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl HarmonicsOps for $backend {
-            fn harmonics(
-                base: FloatTensor<Self>,
-                detail: FloatTensor<Self>,
-                positions: FloatTensor<Self>,
-                centre: [f64; 3],
-            ) -> FloatTensor<Self> {
-                harmonics_on::<Self>(&base, &detail, &positions, centre)
-            }
-        }
-
-        impl HarmonicsBackwardOps for $backend {
-            fn harmonics_backward(
-                positions: FloatTensor<Self>,
-                grad: FloatTensor<Self>,
-                centre: [f64; 3],
-                coefficients: usize,
-            ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-                harmonics_backward_on::<Self>(&positions, &grad, centre, coefficients)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

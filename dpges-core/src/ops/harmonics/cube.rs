@@ -3,9 +3,12 @@
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{HarmonicsBackwardOps, HarmonicsOps};
+use super::HarmonicsOps;
+use super::autodiff::HarmonicsState;
+use crate::backend::tape::WayBack;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
 use crate::gpu::vector::row3;
 use crate::ops::colour::cube::{Eye, direction, eye, harmonic};
@@ -79,16 +82,11 @@ impl HarmonicsOps for CubeBackend {
     }
 }
 
-impl HarmonicsBackwardOps for CubeBackend {
-    fn harmonics_backward(
-        positions: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        centre: [f64; 3],
-        coefficients: usize,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (positions, grad) = (floats(positions), floats(grad));
+impl WayBack<CubeBackend, 2> for HarmonicsState<CubeBackend> {
+    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 2] {
+        let [positions, grad] = [self.positions, grad].map(floats);
         let count = grad.shape()[0];
-        let (base, detail) = (empty_f32(&grad, [count, 1]), empty_f32(&grad, [count, coefficients - 1]));
+        let (base, detail) = (empty_f32(&grad, [count, 1]), empty_f32(&grad, [count, self.higher]));
         harmonics_backward_kernel::launch(
             &grad.client.clone(),
             units(count),
@@ -97,9 +95,9 @@ impl HarmonicsBackwardOps for CubeBackend {
             buffer(&grad),
             buffer(&base),
             buffer(&detail),
-            eye(centre, count),
-            coefficients - 1,
+            eye(self.centre, count),
+            self.higher,
         );
-        (base, detail)
+        [Some(base), Some(detail)]
     }
 }

@@ -36,17 +36,6 @@ pub trait HarmonicsOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait HarmonicsBackwardOps: Backend {
-    /// Gradients with respect to the base and to the `coefficients` − 1 numbers of the detail.
-    fn harmonics_backward(
-        positions: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        centre: [f64; 3],
-        coefficients: usize,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>);
-}
-
 /// Values [N, 1] of primitives at `positions` [N, 3] seen from `centre`, world units, for coefficients `base` [N, 1] and
 /// `detail` [N, C − 1].
 ///

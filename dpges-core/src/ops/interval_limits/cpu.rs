@@ -1,12 +1,13 @@
 //! CPU kernel: pixels in parallel, layer by layer.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
 use super::LimitOps;
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
+use crate::ops::peel::PeelOutput;
 use crate::scene::MarginLookup;
 
 pub(super) fn limits<T: Real>(
@@ -49,34 +50,14 @@ pub(super) fn limits<T: Real>(
     out
 }
 
-fn limits_on<B: Host>(
-    ids: &IntTensor<B>,
-    alpha: &FloatTensor<B>,
-    depth: &FloatTensor<B>,
-    margins: &FloatTensor<B>,
-    lookup: MarginLookup,
-) -> FloatTensor<B> {
-    let shape: [usize; 3] = depth.shape().dims();
-    with_real!(depth.dtype(), T => {
-        let (alpha, values, margins) = (host::floats::<B, T>(alpha), host::floats::<B, T>(depth), host::floats::<B, T>(margins));
-        let limits = limits(&host::ints::<B>(ids), &alpha, &values, &margins, shape[0], lookup);
-        host::float_tensor::<B, T, 3>(limits, shape, &depth.device())
-    })
+impl<B: Host> LimitOps for B {
+    fn interval_limits(layers: PeelOutput<B>, margins: FloatTensor<B>, lookup: MarginLookup) -> FloatTensor<B> {
+        let PeelOutput { ids, alpha, depth } = layers;
+        let shape: [usize; 3] = depth.shape().dims();
+        with_real!(depth.dtype(), T => {
+            let [alpha, values, margins] = [&alpha, &depth, &margins].map(host::floats::<B, T>);
+            let limits = limits(&host::ints::<B>(&ids), &alpha, &values, &margins, shape[0], lookup);
+            host::float_tensor::<B, T, 3>(limits, shape, &depth.device())
+        })
+    }
 }
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl LimitOps for $backend {
-            fn interval_limits(
-                ids: IntTensor<Self>,
-                alpha: FloatTensor<Self>,
-                depth: FloatTensor<Self>,
-                margins: FloatTensor<Self>,
-                lookup: MarginLookup,
-            ) -> FloatTensor<Self> {
-                limits_on::<Self>(&ids, &alpha, &depth, &margins, lookup)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

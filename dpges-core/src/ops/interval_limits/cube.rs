@@ -1,12 +1,13 @@
 //! GPU kernel: one unit per pixel.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::LimitOps;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
+use crate::ops::peel::PeelOutput;
 use crate::scene::MarginLookup;
 
 #[cube(launch)]
@@ -58,13 +59,12 @@ fn limits_kernel(
 
 impl LimitOps for CubeBackend {
     fn interval_limits(
-        ids: IntTensor<Self>,
-        alpha: FloatTensor<Self>,
-        depth: FloatTensor<Self>,
+        layers: PeelOutput<Self>,
         margins: FloatTensor<Self>,
         lookup: MarginLookup,
     ) -> FloatTensor<Self> {
-        let (ids, alpha, depth, margins) = (integers(ids), floats(alpha), floats(depth), floats(margins));
+        let (ids, alpha, depth, margins) =
+            (integers(layers.ids), floats(layers.alpha), floats(layers.depth), floats(margins));
         let shape: [usize; 3] = depth.shape().dims();
         let pixels = shape[1] * shape[2];
         let limits = empty_f32(&depth, shape);

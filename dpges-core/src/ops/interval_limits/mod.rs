@@ -6,33 +6,25 @@
 //!
 //! No gradient.
 
-mod autodiff;
 mod cpu;
 #[cfg(feature = "gpu")]
 mod cube;
 #[cfg(test)]
 mod tests;
 
-use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, backend_extension};
 use burn::tensor::Tensor;
 
-use super::peel::Layers;
+use super::peel::{Layers, PeelOutput};
 use crate::error::Result;
 use crate::scene::MarginLookup;
 use crate::scene::tensors::{check_shape, flat};
 
-#[backend_extension(
-    Cube: cfg(feature = "gpu"),
-    NdArray: cfg(feature = "ndarray"),
-    Flex: cfg(feature = "flex"),
-    Autodiff
-)]
+#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
 pub trait LimitOps: Backend {
     fn interval_limits(
-        ids: IntTensor<Self>,
-        alpha: FloatTensor<Self>,
-        depth: FloatTensor<Self>,
+        #[extension_type] layers: PeelOutput<Self>,
         margins: FloatTensor<Self>,
         lookup: MarginLookup,
     ) -> FloatTensor<Self>;
@@ -52,11 +44,9 @@ pub trait LimitOps: Backend {
 pub fn interval_limits(layers: &Layers, margins: &Tensor<2>, lookup: MarginLookup) -> Result<Tensor<3>> {
     let shape = layers.depth.dims();
     check_shape("layers.alpha", &layers.alpha, shape)?;
-    Ok(Tensor::from_dispatch(Dispatch::interval_limits(
-        layers.ids.clone().into_dispatch(),
-        layers.alpha.clone().into_dispatch(),
-        layers.depth.clone().into_dispatch(),
-        flat(margins).into_dispatch(),
-        lookup,
-    )))
+    let [alpha, depth] = [&layers.alpha, &layers.depth].map(|tensor| tensor.clone().inner().into_dispatch());
+    let input = PeelOutput { ids: layers.ids.clone().inner().into_dispatch(), alpha, depth };
+    let margins = flat(margins).inner().into_dispatch();
+    let limits = Tensor::from_dispatch(Dispatch::interval_limits(input, margins, lookup));
+    Ok(if layers.depth.is_autodiff() { limits.autodiff() } else { limits })
 }

@@ -8,7 +8,7 @@ use glam::{DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::{JitterInput, JitterOps, JitterOptions, MIN_DEVIATION, NoiseGate};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
 
 /// Four pseudorandom words (Jarzynski and Olano 2020, pcg4d).
@@ -59,37 +59,28 @@ fn rotation<T: Real>(quaternions: &[T], row: usize) -> DQuat {
     if rotation.length() > 1e-12 { rotation.normalize() } else { DQuat::IDENTITY }
 }
 
-fn jitter_on<B: Host>(input: &JitterInput<B>, options: &JitterOptions) -> FloatTensor<B> {
-    let device = input.positions.device();
-    with_real!(input.positions.dtype(), T => {
-        let quaternions = host::floats::<B, T>(&input.quaternions);
-        let (log_scales, opacities) = (host::floats::<B, T>(&input.log_scales), host::floats::<B, T>(&input.opacities));
-        let mut positions = host::floats::<B, T>(&input.positions).into_owned();
-        let [seed_low, seed_high] = options.words();
-        positions.par_chunks_exact_mut(3).enumerate().for_each(|(row, position)| {
-            let opacity = opacities[row].as_f64();
-            let strength = options.amount * options.gate.of(opacity);
-            let log_scales = vector(&log_scales, row);
-            if strength * (2.0 * log_scales.max_element()).exp() >= MIN_DEVIATION {
-                let draw = normals(hash([row as u32, 0, seed_low, seed_high]));
-                let rotation = rotation(&quaternions, row);
-                let along_axes = (2.0 * log_scales).exp() * (rotation.conjugate() * draw);
-                let moved = vector(position, 0) + strength * (rotation * along_axes);
-                position.iter_mut().zip(moved.to_array()).for_each(|(x, moved)| *x = T::of(moved));
-            }
-        });
-        let count = positions.len() / 3;
-        host::float_tensor::<B, T, 2>(positions, [count, 3], &device)
-    })
+impl<B: Host> JitterOps for B {
+    fn jitter(input: JitterInput<B>, options: JitterOptions) -> FloatTensor<B> {
+        let device = input.positions.device();
+        with_real!(input.positions.dtype(), T => {
+            let quaternions = host::floats::<B, T>(&input.quaternions);
+            let (log_scales, opacities) = (host::floats::<B, T>(&input.log_scales), host::floats::<B, T>(&input.opacities));
+            let mut positions = host::floats::<B, T>(&input.positions).into_owned();
+            let [seed_low, seed_high] = options.words();
+            positions.par_chunks_exact_mut(3).enumerate().for_each(|(row, position)| {
+                let opacity = opacities[row].as_f64();
+                let strength = options.amount * options.gate.of(opacity);
+                let log_scales = vector(&log_scales, row);
+                if strength * (2.0 * log_scales.max_element()).exp() >= MIN_DEVIATION {
+                    let draw = normals(hash([row as u32, 0, seed_low, seed_high]));
+                    let rotation = rotation(&quaternions, row);
+                    let along_axes = (2.0 * log_scales).exp() * (rotation.conjugate() * draw);
+                    let moved = vector(position, 0) + strength * (rotation * along_axes);
+                    position.iter_mut().zip(moved.to_array()).for_each(|(x, moved)| *x = T::of(moved));
+                }
+            });
+            let count = positions.len() / 3;
+            host::float_tensor::<B, T, 2>(positions, [count, 3], &device)
+        })
+    }
 }
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl JitterOps for $backend {
-            fn jitter(input: JitterInput<Self>, options: JitterOptions) -> FloatTensor<Self> {
-                jitter_on::<Self>(&input, &options)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

@@ -6,20 +6,8 @@ use burn_cubecl::CubeBackend;
 use cubecl::prelude::*;
 
 use super::JoinOps;
-use crate::backend::tensor_list::{LIST_LENGTH, TensorList};
+use crate::backend::tensor_list::{LIST_LENGTH, PerTensor, TensorList};
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
-
-/// Numbers before the end of each tensor.
-#[derive(CubeType, CubeLaunch, Clone, Copy)]
-#[expand(derive(Clone, Copy))]
-struct Ends {
-    first: u32,
-    second: u32,
-    third: u32,
-    fourth: u32,
-    fifth: u32,
-    sixth: u32,
-}
 
 /// The number at place `at` of all if it is one of the `part` with the places from `start` to `end`, else 0.
 #[cube]
@@ -31,6 +19,7 @@ fn number(part: &[f32], at: u32, start: u32, end: u32) -> f32 {
     number
 }
 
+/// `ends` are the numbers before the end of each tensor.
 #[cube(launch)]
 fn join_kernel(
     first: &[f32],
@@ -40,7 +29,7 @@ fn join_kernel(
     fifth: &[f32],
     sixth: &[f32],
     out: &mut [f32],
-    ends: Ends,
+    ends: PerTensor,
 ) {
     let i = ABSOLUTE_POS as u32;
     if i >= ends.sixth {
@@ -62,7 +51,6 @@ impl JoinOps for CubeBackend {
             end += if at < count { tensors[at].shape().num_elements() } else { 0 };
             end
         });
-        let [a, b, c, d, e, f] = ends.map(|end| end as u32);
         let out = empty_f32(&tensors[0], [end]);
         join_kernel::launch(
             &out.client.clone(),
@@ -75,7 +63,7 @@ impl JoinOps for CubeBackend {
             buffer(&tensors[4]),
             buffer(&tensors[5]),
             buffer(&out),
-            EndsLaunch::new(a, b, c, d, e, f),
+            PerTensor::launch(ends),
         );
         out
     }

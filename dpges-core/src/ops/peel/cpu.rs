@@ -3,14 +3,17 @@
 use std::borrow::Cow;
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::{FloatTensor, IntTensor};
+use burn::backend::tensor::FloatTensor;
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
-use crate::backend::lanes::{Lanes, with_lanes};
+use super::autodiff::PeelState;
+use super::{PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
+use crate::backend::host::{self, Host, with_real};
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
+use crate::backend::simd::vectorised;
+use crate::backend::tape::WayBack;
 use crate::camera::Camera;
 use crate::footprint::CUTOFF;
 use crate::footprint::rays::rays;
@@ -168,7 +171,7 @@ fn forward<T: Real>(surfels: &SurfelRows<T>, camera: &Camera, options: &PeelOpti
             let places = vec![T::of(NONE); block];
             let layers = TileLayers { count: layers, places, alpha, depth };
             let (planes, rects) = (&planes, &rects);
-            with_lanes(PeelTile { candidates, planes, rects, origin, near, options, rays, ids, layers });
+            vectorised(PeelTile { candidates, planes, rects, origin, near, options, rays, ids, layers });
         },
     );
     (to_planes(&ids, layers, grid), to_planes(&alpha, layers, grid), to_planes(&depth, layers, grid))
@@ -262,7 +265,7 @@ fn backward<T: Real>(
     of: PeelGradient,
     camera: &Camera,
     options: &PeelOptions,
-) -> (Vec<T>, Vec<T>, Vec<T>) {
+) -> [Vec<T>; 3] {
     let (width, height) = (camera.width, camera.height);
     let rays = rays(camera);
     let camera = CameraOf::<f64>::new(camera);
@@ -301,74 +304,45 @@ fn backward<T: Real>(
             sums
         })
         .collect();
-    let mut out =
-        (vec![T::zero(); surfels.len() * 3], vec![T::zero(); surfels.len() * 4], vec![T::zero(); surfels.len() * 2]);
-    out.0.par_chunks_mut(3).zip(out.1.par_chunks_mut(4)).zip(out.2.par_chunks_mut(2)).enumerate().for_each(
-        |(i, ((position, quaternion), log_scales))| {
-            let mut sum = partial[0][i];
-            partial[1..].iter().for_each(|band| sum.add(&band[i]));
-            let grads = discs[i].backward(&camera, surfels.parameters(i).quaternion, &sum);
-            position.copy_from_slice(&grads.0.map(T::of));
-            quaternion.copy_from_slice(&grads.1.map(T::of));
-            log_scales.copy_from_slice(&grads.2.map(T::of));
-        },
-    );
+    let mut out = [3, 4, 2].map(|width| vec![T::zero(); surfels.len() * width]);
+    let [positions, quaternions, log_scales] = &mut out;
+    let rows = positions.par_chunks_mut(3).zip(quaternions.par_chunks_mut(4)).zip(log_scales.par_chunks_mut(2));
+    rows.enumerate().for_each(|(i, ((position, quaternion), log_scales))| {
+        let mut sum = partial[0][i];
+        partial[1..].iter().for_each(|band| sum.add(&band[i]));
+        let grads = discs[i].backward(&camera, surfels.parameters(i).quaternion, &sum);
+        position.copy_from_slice(&grads.0.map(T::of));
+        quaternion.copy_from_slice(&grads.1.map(T::of));
+        log_scales.copy_from_slice(&grads.2.map(T::of));
+    });
     out
 }
 
-fn peel_on<B: Host>(surfels: &SurfelShapes<B>, camera: &Camera, options: &PeelOptions) -> PeelOutput<B> {
-    let device = surfels.positions.device();
-    let shape = [options.layer_count, camera.height, camera.width];
-    with_real!(surfels.positions.dtype(), T => {
-        let (ids, alpha, depth) = forward(&SurfelRows::<T>::new(surfels), camera, options);
-        PeelOutput {
-            ids: host::int_tensor::<B, 3>(ids, shape, &device),
-            alpha: host::float_tensor::<B, T, 3>(alpha, shape, &device),
-            depth: host::float_tensor::<B, T, 3>(depth, shape, &device),
-        }
-    })
-}
-
-fn peel_backward_on<B: Host>(
-    surfels: &SurfelShapes<B>,
-    ids: &IntTensor<B>,
-    grad: &FloatTensor<B>,
-    of: PeelGradient,
-    camera: &Camera,
-    options: &PeelOptions,
-) -> SurfelShapes<B> {
-    let (count, device) = (host::rows(&surfels.positions), surfels.positions.device());
-    with_real!(surfels.positions.dtype(), T => {
-        let rows = SurfelRows::<T>::new(surfels);
-        let grads = backward(&rows, &host::ints::<B>(ids), &host::floats::<B, T>(grad), of, camera, options);
-        SurfelShapes {
-            positions: host::float_tensor::<B, T, 2>(grads.0, [count, 3], &device),
-            quaternions: host::float_tensor::<B, T, 2>(grads.1, [count, 4], &device),
-            log_scales: host::float_tensor::<B, T, 2>(grads.2, [count, 2], &device),
-        }
-    })
-}
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl PeelOps for $backend {
-            fn peel(surfels: SurfelShapes<Self>, camera: Camera, options: PeelOptions) -> PeelOutput<Self> {
-                peel_on::<Self>(&surfels, &camera, &options)
+impl<B: Host> PeelOps for B {
+    fn peel(surfels: SurfelShapes<B>, camera: Camera, options: PeelOptions) -> PeelOutput<B> {
+        let device = surfels.positions.device();
+        let shape = [options.layer_count, camera.height, camera.width];
+        with_real!(surfels.positions.dtype(), T => {
+            let (ids, alpha, depth) = forward(&SurfelRows::<T>::new(&surfels), &camera, &options);
+            PeelOutput {
+                ids: host::int_tensor::<B, 3>(ids, shape, &device),
+                alpha: host::float_tensor::<B, T, 3>(alpha, shape, &device),
+                depth: host::float_tensor::<B, T, 3>(depth, shape, &device),
             }
-        }
-
-        impl PeelBackwardOps for $backend {
-            fn peel_backward(
-                surfels: SurfelShapes<Self>,
-                ids: IntTensor<Self>,
-                grad: FloatTensor<Self>,
-                of: PeelGradient,
-                camera: Camera,
-                options: PeelOptions,
-            ) -> SurfelShapes<Self> {
-                peel_backward_on::<Self>(&surfels, &ids, &grad, of, &camera, &options)
-            }
-        }
-    };
+        })
+    }
 }
-for_each_cpu_backend!(implement);
+
+impl<B: Host> WayBack<B, 3> for PeelState<B> {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 3] {
+        let Self { surfels, ids, of, camera, options } = self;
+        let (count, device) = (host::rows(&surfels.positions), surfels.positions.device());
+        with_real!(surfels.positions.dtype(), T => {
+            let rows = SurfelRows::<T>::new(&surfels);
+            let grad = host::floats::<B, T>(&grad);
+            let [positions, quaternions, log_scales] = backward(&rows, &host::ints::<B>(&ids), &grad, of, &camera, &options);
+            [(positions, 3), (quaternions, 4), (log_scales, 2)]
+                .map(|(values, width)| Some(host::float_tensor::<B, T, 2>(values, [count, width], &device)))
+        })
+    }
+}

@@ -2,12 +2,14 @@
 //! which each surfel is a layer.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::{FloatTensor, IntTensor};
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{PeelBackwardOps, PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
+use super::autodiff::PeelState;
+use super::{PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
+use crate::backend::tape::WayBack;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::CUTOFF_F32;
 use crate::footprint::surfel::cube as disc_cube;
@@ -205,11 +207,7 @@ fn setup(surfels: &SurfelShapes<CubeBackend>, camera: &Camera, options: &PeelOpt
 }
 
 fn contiguous(surfels: SurfelShapes<CubeBackend>) -> SurfelShapes<CubeBackend> {
-    SurfelShapes {
-        positions: floats(surfels.positions),
-        quaternions: floats(surfels.quaternions),
-        log_scales: floats(surfels.log_scales),
-    }
+    SurfelShapes::from_array(surfels.into_array().map(floats))
 }
 
 impl PeelOps for CubeBackend {
@@ -243,15 +241,9 @@ impl PeelOps for CubeBackend {
     }
 }
 
-impl PeelBackwardOps for CubeBackend {
-    fn peel_backward(
-        surfels: SurfelShapes<Self>,
-        ids: IntTensor<Self>,
-        grad: FloatTensor<Self>,
-        of: PeelGradient,
-        camera: Camera,
-        options: PeelOptions,
-    ) -> SurfelShapes<Self> {
+impl WayBack<CubeBackend, 3> for PeelState<CubeBackend> {
+    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 3] {
+        let Self { surfels, ids, of, camera, options } = self;
         let surfels = contiguous(surfels);
         let (ids, grad) = (integers(ids), floats(grad));
         let like = surfels.positions.clone();
@@ -277,12 +269,8 @@ impl PeelBackwardOps for CubeBackend {
             of == PeelGradient::Depth,
         );
         let sums = pieces.collect(&gathered, 0, DISC_SUMS);
-        let out = SurfelShapes {
-            positions: empty_f32(&like, [count, 3]),
-            quaternions: empty_f32(&like, [count, 4]),
-            log_scales: empty_f32(&like, [count, 2]),
-        };
+        let out = SurfelShapes::from_array([3, 4, 2].map(|width| empty_f32(&like, [count, width])));
         disc_cube::backward(&discs(&surfels), &sums, &camera, &discs(&out));
-        out
+        out.into_array().map(Some)
     }
 }

@@ -99,7 +99,7 @@ pub struct PeelOutput<B: Backend> {
     pub depth: FloatTensor<B>,
 }
 
-/// The attributes of surfels that [`peel`] depends on, or the gradients with respect to them.
+/// The attributes of surfels that [`peel`] depends on.
 #[derive(ExtensionType, Debug, Clone)]
 pub struct SurfelShapes<B: Backend> {
     /// [N, 3]
@@ -108,6 +108,18 @@ pub struct SurfelShapes<B: Backend> {
     pub quaternions: FloatTensor<B>,
     /// [N, 2]
     pub log_scales: FloatTensor<B>,
+}
+
+impl<B: Backend> SurfelShapes<B> {
+    /// In the order of the fields.
+    fn into_array(self) -> [FloatTensor<B>; 3] {
+        [self.positions, self.quaternions, self.log_scales]
+    }
+
+    /// In the order of the fields.
+    fn from_array([positions, quaternions, log_scales]: [FloatTensor<B>; 3]) -> Self {
+        Self { positions, quaternions, log_scales }
+    }
 }
 
 /// The output of [`peel`] that an incoming gradient belongs to.
@@ -125,18 +137,6 @@ pub enum PeelGradient {
 )]
 pub trait PeelOps: Backend {
     fn peel(#[extension_type] surfels: SurfelShapes<Self>, camera: Camera, options: PeelOptions) -> PeelOutput<Self>;
-}
-
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait PeelBackwardOps: Backend {
-    fn peel_backward(
-        #[extension_type] surfels: SurfelShapes<Self>,
-        ids: IntTensor<Self>,
-        grad: FloatTensor<Self>,
-        of: PeelGradient,
-        camera: Camera,
-        options: PeelOptions,
-    ) -> SurfelShapes<Self>;
 }
 
 /// Peels surfels with `positions` [N, 3], `quaternions` [N, 4] and `log_scales` [N, 2].
@@ -157,11 +157,8 @@ pub fn peel(
     check_shape("surfels.positions", positions, [count, 3])?;
     check_shape("surfels.quaternions", quaternions, [count, 4])?;
     check_shape("surfels.log_scales", log_scales, [count, 2])?;
-    let surfels = SurfelShapes {
-        positions: positions.clone().into_dispatch(),
-        quaternions: quaternions.clone().into_dispatch(),
-        log_scales: log_scales.clone().into_dispatch(),
-    };
+    let surfels =
+        SurfelShapes::from_array([positions, quaternions, log_scales].map(|tensor| tensor.clone().into_dispatch()));
     let out = within_capacity(|| Dispatch::peel(surfels, *camera, *options))?;
     Ok(Layers {
         ids: Tensor::from_dispatch(out.ids),

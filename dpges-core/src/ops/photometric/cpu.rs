@@ -6,10 +6,12 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{PhotometricBackwardOps, PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use super::autodiff::PhotometricState;
+use super::{PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
+use crate::backend::tape::WayBack;
 
 pub const WINDOW: usize = 11;
 pub const RADIUS: usize = WINDOW / 2;
@@ -253,64 +255,32 @@ fn with_pair<B: Host, T: Real, R>(input: &PhotometricInput<B>, masked: bool, ker
     kernel(&Pair::new(&image, &target, ignored.as_deref(), input.image.shape().dims()))
 }
 
-fn photometric_on<B: Host>(
-    input: &PhotometricInput<B>,
-    weights: &PhotometricWeights,
-    masked: bool,
-) -> PhotometricOutput<B> {
-    let [channels, height, width] = input.image.shape().dims();
-    let device = input.image.device();
-    with_real!(input.image.dtype(), T => {
-        let ([differences, similarities, errors], partials) = with_pair::<B, T, _>(input, masked, forward);
-        let mean = T::of(weights.pixels_per_counted / (channels * height * width) as f64);
-        let offset = T::of(weights.offset * weights.pixels_per_counted);
-        let value = offset + (T::of(weights.l1) * differences + T::of(weights.ssim) * similarities) * mean;
-        PhotometricOutput {
-            value: host::float_tensor::<B, T, 1>(vec![value], [1], &device),
-            squared_error: host::float_tensor::<B, T, 1>(vec![errors * mean], [1], &device),
-            partials: host::float_tensor::<B, T, 4>(partials, [3, channels, height, width], &device),
-        }
-    })
-}
-
-fn photometric_backward_on<B: Host>(
-    input: &PhotometricInput<B>,
-    partials: &FloatTensor<B>,
-    grad: &FloatTensor<B>,
-    weights: &PhotometricWeights,
-    masked: bool,
-) -> FloatTensor<B> {
-    let shape: [usize; 3] = input.image.shape().dims();
-    with_real!(input.image.dtype(), T => {
-        let (partials, grad) = (host::floats::<B, T>(partials), host::floats::<B, T>(grad)[0]);
-        let out = with_pair::<B, T, _>(input, masked, |pair| backward(pair, &partials, grad, weights));
-        host::float_tensor::<B, T, 3>(out, shape, &input.image.device())
-    })
-}
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl PhotometricOps for $backend {
-            fn photometric(
-                input: PhotometricInput<Self>,
-                weights: PhotometricWeights,
-                masked: bool,
-            ) -> PhotometricOutput<Self> {
-                photometric_on::<Self>(&input, &weights, masked)
+impl<B: Host> PhotometricOps for B {
+    fn photometric(input: PhotometricInput<B>, weights: PhotometricWeights, masked: bool) -> PhotometricOutput<B> {
+        let [channels, height, width] = input.image.shape().dims();
+        let device = input.image.device();
+        with_real!(input.image.dtype(), T => {
+            let ([differences, similarities, errors], partials) = with_pair::<B, T, _>(&input, masked, forward);
+            let mean = T::of(weights.pixels_per_counted / (channels * height * width) as f64);
+            let offset = T::of(weights.offset * weights.pixels_per_counted);
+            let value = offset + (T::of(weights.l1) * differences + T::of(weights.ssim) * similarities) * mean;
+            PhotometricOutput {
+                value: host::float_tensor::<B, T, 1>(vec![value], [1], &device),
+                squared_error: host::float_tensor::<B, T, 1>(vec![errors * mean], [1], &device),
+                partials: host::float_tensor::<B, T, 4>(partials, [3, channels, height, width], &device),
             }
-        }
-
-        impl PhotometricBackwardOps for $backend {
-            fn photometric_backward(
-                input: PhotometricInput<Self>,
-                partials: FloatTensor<Self>,
-                grad: FloatTensor<Self>,
-                weights: PhotometricWeights,
-                masked: bool,
-            ) -> FloatTensor<Self> {
-                photometric_backward_on::<Self>(&input, &partials, &grad, &weights, masked)
-            }
-        }
-    };
+        })
+    }
 }
-for_each_cpu_backend!(implement);
+
+impl<B: Host> WayBack<B, 1> for PhotometricState<B> {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
+        let Self { input, partials, weights, masked } = self;
+        let shape: [usize; 3] = input.image.shape().dims();
+        with_real!(input.image.dtype(), T => {
+            let (partials, grad) = (host::floats::<B, T>(&partials), host::floats::<B, T>(&grad)[0]);
+            let out = with_pair::<B, T, _>(&input, masked, |pair| backward(pair, &partials, grad, &weights));
+            [Some(host::float_tensor::<B, T, 3>(out, shape, &input.image.device()))]
+        })
+    }
+}

@@ -1,12 +1,14 @@
 //! GPU kernels: one cube per tile, separable windows in workgroup memory.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
+use super::autodiff::PhotometricState;
 use super::cpu::{self, RADIUS, taps};
-use super::{PhotometricBackwardOps, PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
+use super::{PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
+use crate::backend::tape::WayBack;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats};
 use crate::gpu::mask::counts;
@@ -61,20 +63,14 @@ struct Window {
 
 #[cube]
 fn tap(window: Window, #[comptime] t: u32) -> f32 {
-    let distance = comptime!(t.abs_diff(REACH));
-    let mut weight = window.w0;
-    if comptime!(distance == 1) {
-        weight = window.w1;
-    } else if comptime!(distance == 2) {
-        weight = window.w2;
-    } else if comptime!(distance == 3) {
-        weight = window.w3;
-    } else if comptime!(distance == 4) {
-        weight = window.w4;
-    } else if comptime!(distance == 5) {
-        weight = window.w5;
+    match comptime!(t.abs_diff(REACH)) {
+        0 => window.w0,
+        1 => window.w1,
+        2 => window.w2,
+        3 => window.w3,
+        4 => window.w4,
+        _ => window.w5,
     }
-    weight
 }
 
 /// Offset of a pixel of this cube's padded tile in its channel, and whether it is in the image.
@@ -394,14 +390,9 @@ impl PhotometricOps for CubeBackend {
     }
 }
 
-impl PhotometricBackwardOps for CubeBackend {
-    fn photometric_backward(
-        input: PhotometricInput<Self>,
-        partials: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        weights: PhotometricWeights,
-        masked: bool,
-    ) -> FloatTensor<Self> {
+impl WayBack<CubeBackend, 1> for PhotometricState<CubeBackend> {
+    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 1] {
+        let Self { input, partials, weights, masked } = self;
         let PhotometricInput { image, target, ignored } = contiguous(input);
         let (partials, grad) = (floats(partials), floats(grad));
         let shape: [usize; 3] = image.shape().dims();
@@ -428,6 +419,6 @@ impl PhotometricBackwardOps for CubeBackend {
             total as u32,
             masked,
         );
-        out
+        [Some(out)]
     }
 }

@@ -78,17 +78,6 @@ pub trait PhotometricOps: Backend {
     ) -> PhotometricOutput<Self>;
 }
 
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait PhotometricBackwardOps: Backend {
-    fn photometric_backward(
-        #[extension_type] input: PhotometricInput<Self>,
-        partials: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        weights: PhotometricWeights,
-        masked: bool,
-    ) -> FloatTensor<Self>;
-}
-
 /// The results of [`photometric`], `[1]` each.
 #[derive(Clone, Debug)]
 pub struct Photometric {

@@ -4,9 +4,11 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{LINEAR_FROM, ScaleLossBackwardOps, ScaleLossOps, ScaleLossOutput};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use super::autodiff::ScaleLossState;
+use super::{LINEAR_FROM, ScaleLossOps, ScaleLossOutput};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
+use crate::backend::tape::WayBack;
 
 /// Log-scales of a task.
 const CHUNK: usize = 1 << 13;
@@ -51,51 +53,25 @@ fn backward<T: Real>(log_scales: &[T], log_mean: T, grad: T) -> Vec<T> {
     log_scales.par_chunks_exact(2).with_min_len(CHUNK).flat_map_iter(of_surfel).collect()
 }
 
-fn scale_loss_on<B: Host>(log_scales: &FloatTensor<B>, weight: f64) -> ScaleLossOutput<B> {
-    let device = log_scales.device();
-    with_real!(log_scales.dtype(), T => {
-        let log_scales = host::floats::<B, T>(log_scales);
-        let log_mean = log_mean(&log_scales);
-        let value = value(&log_scales, log_mean);
-        let [weighted, value, log_mean] = [value * T::of(weight), value, log_mean]
-            .map(|number| host::float_tensor::<B, T, 1>(vec![number], [1], &device));
-        ScaleLossOutput { weighted, value, log_mean }
-    })
+impl<B: Host> ScaleLossOps for B {
+    fn scale_loss(log_scales: FloatTensor<B>, weight: f64) -> ScaleLossOutput<B> {
+        with_real!(log_scales.dtype(), T => {
+            let values = host::floats::<B, T>(&log_scales);
+            let log_mean = log_mean(&values);
+            let value = value(&values, log_mean);
+            let [weighted, value, log_mean] = [value * T::of(weight), value, log_mean]
+                .map(|number| host::float_tensor::<B, T, 1>(vec![number], [1], &log_scales.device()));
+            ScaleLossOutput { weighted, value, log_mean }
+        })
+    }
 }
 
-fn scale_loss_backward_on<B: Host>(
-    log_scales: &FloatTensor<B>,
-    log_mean: &FloatTensor<B>,
-    grad: &FloatTensor<B>,
-    weight: f64,
-) -> FloatTensor<B> {
-    let device = log_scales.device();
-    with_real!(log_scales.dtype(), T => {
-        let grad = host::floats::<B, T>(grad)[0] * T::of(weight);
-        let (log_scales, log_mean) = (host::floats::<B, T>(log_scales), host::floats::<B, T>(log_mean)[0]);
-        let out = backward(&log_scales, log_mean, grad);
-        host::float_tensor::<B, T, 2>(out, [log_scales.len() / 2, 2], &device)
-    })
+impl<B: Host> WayBack<B, 1> for ScaleLossState<B> {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
+        with_real!(grad.dtype(), T => {
+            let [log_scales, log_mean, grad] = [&self.log_scales, &self.log_mean, &grad].map(host::floats::<B, T>);
+            let out = backward(&log_scales, log_mean[0], grad[0] * T::of(self.weight));
+            [Some(host::float_tensor::<B, T, 2>(out, [log_scales.len() / 2, 2], &self.log_scales.device()))]
+        })
+    }
 }
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl ScaleLossOps for $backend {
-            fn scale_loss(log_scales: FloatTensor<Self>, weight: f64) -> ScaleLossOutput<Self> {
-                scale_loss_on::<Self>(&log_scales, weight)
-            }
-        }
-
-        impl ScaleLossBackwardOps for $backend {
-            fn scale_loss_backward(
-                log_scales: FloatTensor<Self>,
-                log_mean: FloatTensor<Self>,
-                grad: FloatTensor<Self>,
-                weight: f64,
-            ) -> FloatTensor<Self> {
-                scale_loss_backward_on::<Self>(&log_scales, &log_mean, &grad, weight)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

@@ -4,9 +4,12 @@
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{LINEAR_FROM, ScaleLossBackwardOps, ScaleLossOps, ScaleLossOutput};
+use super::autodiff::ScaleLossState;
+use super::{LINEAR_FROM, ScaleLossOps, ScaleLossOutput};
+use crate::backend::tape::WayBack;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats, units};
 use crate::gpu::reduce::{max_units, parts, sum_parts, sum_units};
@@ -171,14 +174,9 @@ impl ScaleLossOps for CubeBackend {
     }
 }
 
-impl ScaleLossBackwardOps for CubeBackend {
-    fn scale_loss_backward(
-        log_scales: FloatTensor<Self>,
-        log_mean: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        weight: f64,
-    ) -> FloatTensor<Self> {
-        let (log_scales, log_mean, grad) = (floats(log_scales), floats(log_mean), floats(grad));
+impl WayBack<CubeBackend, 1> for ScaleLossState<CubeBackend> {
+    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 1] {
+        let [log_scales, log_mean, grad] = [self.log_scales, self.log_mean, grad].map(floats);
         let surfels = log_scales.shape()[0];
         let out = empty_f32(&log_scales, [surfels, 2]);
         backward_kernel::launch(
@@ -190,8 +188,8 @@ impl ScaleLossBackwardOps for CubeBackend {
             buffer(&grad),
             buffer(&out),
             surfels as u32,
-            (weight * 0.5 / surfels as f64) as f32,
+            (self.weight * 0.5 / surfels as f64) as f32,
         );
-        out
+        [Some(out)]
     }
 }

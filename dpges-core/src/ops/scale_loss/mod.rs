@@ -41,16 +41,6 @@ pub trait ScaleLossOps: Backend {
     fn scale_loss(log_scales: FloatTensor<Self>, weight: f64) -> ScaleLossOutput<Self>;
 }
 
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait ScaleLossBackwardOps: Backend {
-    fn scale_loss_backward(
-        log_scales: FloatTensor<Self>,
-        log_mean: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        weight: f64,
-    ) -> FloatTensor<Self>;
-}
-
 /// The results of [`scale_loss`], `[1]` each.
 #[derive(Clone, Debug)]
 pub struct ScaleLoss {

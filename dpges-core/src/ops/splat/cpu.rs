@@ -6,12 +6,14 @@ use burn::backend::tensor::FloatTensor;
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{SplatBackwardOps, SplatGradients, SplatOps};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use super::autodiff::SplatState;
+use super::{SplatInput, SplatOps, with_probe};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::kept::Kept;
-use crate::backend::lanes::{Lanes, Mask, with_lanes};
+use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
+use crate::backend::tape::WayBack;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu as splat;
 use crate::footprint::gaussian::cpu::in_view::{InView, UNSEEN};
@@ -99,7 +101,7 @@ fn forward<T: Real>(
     let mut sums = vec![T::zero(); grid.len() * block];
     sums.par_chunks_mut(block).enumerate().for_each(|(tile, sums)| {
         let (candidates, origin, limits) = (lists.of(tile), grid.origin(tile), limits.tile(tile));
-        with_lanes(SplatTile { candidates, seen: &seen, origin, limits, sums });
+        vectorised(SplatTile { candidates, seen: &seen, origin, limits, sums });
     });
     kept.put(seen);
     to_planes(&sums, layers * CHANNELS, grid)
@@ -279,7 +281,7 @@ fn backward<T: Real>(
     let seen = kept.get_or(|| InView::new(gaussians, &camera, filter, grid));
     let mut sums: Vec<SplatGrad<T>> = vec![SplatGrad::default(); seen.rows.len()];
     sums.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, sums)| {
-        with_lanes(Gather { seen: &seen, first: chunk * CHUNK, grid, limits: &limits, grad: &grad, sums });
+        vectorised(Gather { seen: &seen, first: chunk * CHUNK, grid, limits: &limits, grad: &grad, sums });
     });
     let places = seen.places(gaussians.len());
     let probe_width = if probed { 2 } else { 0 };
@@ -369,7 +371,7 @@ fn contributions<T: Real>(
     let limits = LimitBlocks::new(limits, layers, grid);
     let gates = to_tiles(gates, layers, grid, T::zero());
     let seen = InView::new(gaussians, &camera, ScreenFilter::Compensated, grid);
-    let largest = |i: usize| with_lanes(Largest { seen: &seen, i, grid, limits: &limits, gates: &gates });
+    let largest = |i: usize| vectorised(Largest { seen: &seen, i, grid, limits: &limits, gates: &gates });
     let of_seen: Vec<T> = (0..seen.rows.len()).into_par_iter().map(largest).collect();
     let mut of_all = vec![T::zero(); gaussians.len()];
     for (&row, largest) in seen.rows.iter().zip(of_seen) {
@@ -378,94 +380,46 @@ fn contributions<T: Real>(
     of_all
 }
 
-fn splat_on<B: Host>(
-    gaussians: &GaussianTensors<B>,
-    limits: &FloatTensor<B>,
-    camera: &Camera,
-    filter: ScreenFilter,
-    kept: &Kept,
-) -> FloatTensor<B> {
-    let layers = host::rows(limits);
-    with_real!(limits.dtype(), T => {
-        let sums = forward(&GaussianRows::<T>::new(gaussians), &host::floats::<B, T>(limits), layers, camera, filter, kept);
-        host::float_tensor::<B, T, 4>(sums, [layers, CHANNELS, camera.height, camera.width], &limits.device())
-    })
+impl<B: Host> SplatOps for B {
+    fn splat(input: SplatInput<B>, camera: Camera, filter: ScreenFilter, kept: Kept) -> FloatTensor<B> {
+        let SplatInput { gaussians, limits, .. } = input;
+        let layers = host::rows(&limits);
+        with_real!(limits.dtype(), T => {
+            let (rows, limit) = (GaussianRows::<T>::new(&gaussians), host::floats::<B, T>(&limits));
+            let sums = forward(&rows, &limit, layers, &camera, filter, &kept);
+            host::float_tensor::<B, T, 4>(sums, [layers, CHANNELS, camera.height, camera.width], &limits.device())
+        })
+    }
+
+    fn splat_contributions(
+        gaussians: GaussianTensors<B>,
+        limits: FloatTensor<B>,
+        gates: FloatTensor<B>,
+        camera: Camera,
+    ) -> FloatTensor<B> {
+        with_real!(limits.dtype(), T => {
+            let rows = GaussianRows::<T>::new(&gaussians);
+            let [limit, gates] = [&limits, &gates].map(host::floats::<B, T>);
+            let values = contributions(&rows, &limit, &gates, host::rows(&limits), &camera);
+            host::float_tensor::<B, T, 1>(values, [rows.len()], &limits.device())
+        })
+    }
 }
 
-fn splat_backward_on<B: Host>(
-    gaussians: &GaussianTensors<B>,
-    limits: &FloatTensor<B>,
-    grad: &FloatTensor<B>,
-    camera: &Camera,
-    filter: ScreenFilter,
-    probed: bool,
-    kept: &Kept,
-) -> SplatGradients<B> {
-    let device = limits.device();
-    with_real!(limits.dtype(), T => {
-        let rows = GaussianRows::<T>::new(gaussians);
-        let (limit, grad) = (host::floats::<B, T>(limits), host::floats::<B, T>(grad));
-        let [positions, quaternions, log_scales, opacities, colours, probe] =
-            backward(&rows, &limit, &grad, camera, filter, probed, kept);
-        let count = probe.len() / 2;
-        SplatGradients {
-            gaussians: GaussianTensors::from_rows([positions, quaternions, log_scales, opacities, colours], &device),
-            probe: host::float_tensor::<B, T, 2>(probe, [count, 2], &device),
-        }
-    })
+impl<B: Host> WayBack<B, 6> for SplatState<B> {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 6] {
+        let Self { input: SplatInput { gaussians, probe, limits }, camera, filter, kept } = self;
+        let (probed, device) = (host::rows(&probe) > 0, limits.device());
+        with_real!(limits.dtype(), T => {
+            let rows = GaussianRows::<T>::new(&gaussians);
+            let [limits, grad] = [&limits, &grad].map(host::floats::<B, T>);
+            let [positions, quaternions, log_scales, opacities, colours, probe] =
+                backward(&rows, &limits, &grad, &camera, filter, probed, &kept);
+            let count = rows.len();
+            let probe = probed.then(|| host::float_tensor::<B, T, 2>(probe, [count, 2], &device));
+            let gaussians =
+                GaussianTensors::<B>::from_rows([positions, quaternions, log_scales, opacities, colours], &device);
+            with_probe(gaussians.into_array().map(Some), probe)
+        })
+    }
 }
-
-fn contributions_on<B: Host>(
-    gaussians: &GaussianTensors<B>,
-    limits: &FloatTensor<B>,
-    gates: &FloatTensor<B>,
-    camera: &Camera,
-) -> FloatTensor<B> {
-    with_real!(limits.dtype(), T => {
-        let rows = GaussianRows::<T>::new(gaussians);
-        let (limit, gates) = (host::floats::<B, T>(limits), host::floats::<B, T>(gates));
-        let values = contributions(&rows, &limit, &gates, host::rows(limits), camera);
-        host::float_tensor::<B, T, 1>(values, [rows.len()], &limits.device())
-    })
-}
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl SplatOps for $backend {
-            fn splat(
-                gaussians: GaussianTensors<Self>,
-                _: FloatTensor<Self>,
-                limits: FloatTensor<Self>,
-                camera: Camera,
-                filter: ScreenFilter,
-                kept: Kept,
-            ) -> FloatTensor<Self> {
-                splat_on::<Self>(&gaussians, &limits, &camera, filter, &kept)
-            }
-
-            fn splat_contributions(
-                gaussians: GaussianTensors<Self>,
-                limits: FloatTensor<Self>,
-                gates: FloatTensor<Self>,
-                camera: Camera,
-            ) -> FloatTensor<Self> {
-                contributions_on::<Self>(&gaussians, &limits, &gates, &camera)
-            }
-        }
-
-        impl SplatBackwardOps for $backend {
-            fn splat_backward(
-                gaussians: GaussianTensors<Self>,
-                limits: FloatTensor<Self>,
-                grad: FloatTensor<Self>,
-                camera: Camera,
-                filter: ScreenFilter,
-                probed: bool,
-                kept: Kept,
-            ) -> SplatGradients<Self> {
-                splat_backward_on::<Self>(&gaussians, &limits, &grad, &camera, filter, probed, &kept)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

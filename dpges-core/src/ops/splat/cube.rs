@@ -4,10 +4,13 @@
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{SplatBackwardOps, SplatGradients, SplatOps};
+use super::autodiff::SplatState;
+use super::{SplatInput, SplatOps, with_probe};
 use crate::backend::kept::Kept;
+use crate::backend::tape::WayBack;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
@@ -298,15 +301,8 @@ fn brightest_kernel(largest_of_pieces: &[f32], starts: &[u32], colours: &[f32], 
 }
 
 impl SplatOps for CubeBackend {
-    fn splat(
-        gaussians: GaussianTensors<Self>,
-        _: FloatTensor<Self>,
-        limits: FloatTensor<Self>,
-        camera: Camera,
-        filter: ScreenFilter,
-        _: Kept,
-    ) -> FloatTensor<Self> {
-        let (gaussians, limits) = (gaussians.contiguous(), floats(limits));
+    fn splat(input: SplatInput<Self>, camera: Camera, filter: ScreenFilter, _: Kept) -> FloatTensor<Self> {
+        let (gaussians, limits) = (input.gaussians.contiguous(), floats(input.limits));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let tiles = TileGrid::new(camera.width, camera.height).len();
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, filter);
@@ -380,16 +376,10 @@ impl SplatOps for CubeBackend {
     }
 }
 
-impl SplatBackwardOps for CubeBackend {
-    fn splat_backward(
-        gaussians: GaussianTensors<Self>,
-        limits: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        camera: Camera,
-        filter: ScreenFilter,
-        probed: bool,
-        _: Kept,
-    ) -> SplatGradients<Self> {
+impl WayBack<CubeBackend, 6> for SplatState<CubeBackend> {
+    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 6] {
+        let Self { input: SplatInput { gaussians, probe, limits }, camera, filter, .. } = self;
+        let probed = probe.shape()[0] > 0;
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, filter);
@@ -413,19 +403,19 @@ impl SplatBackwardOps for CubeBackend {
         let mut out = GaussianTensors::empty(&limits, count);
         out.colours = pieces.collect(&sums, MOMENTS, COLOUR);
         splat_cube::backward(&gaussians, &moments, &camera, filter, &out);
-        let probe = empty_f32(&limits, [if probed { count } else { 0 }, 2]);
-        if probed && count > 0 {
+        let probe = probed.then(|| empty_f32(&limits, [count, 2]));
+        if let Some(probe) = &probe {
             probe_kernel::launch(
                 &client,
                 units(count),
                 cube_dim(),
                 buffer(&splats),
                 buffer(&moments),
-                buffer(&probe),
+                buffer(probe),
                 CameraUniforms::launch(&camera),
                 count as u32,
             );
         }
-        SplatGradients { gaussians: out, probe }
+        with_probe(out.into_array().map(Some), probe)
     }
 }

@@ -31,6 +31,16 @@ use crate::scene::tensors::check_shape;
 use crate::scene::{Gaussians, ScreenFilter};
 use crate::tiles::capacity::within_capacity;
 
+#[derive(ExtensionType, Debug, Clone)]
+pub struct SplatInput<B: Backend> {
+    #[extension_type]
+    pub gaussians: GaussianTensors<B>,
+    /// [M, 2], or [0, 2] without a probe
+    pub probe: FloatTensor<B>,
+    /// [K, H, W]
+    pub limits: FloatTensor<B>,
+}
+
 #[backend_extension(
     Cube: cfg(feature = "gpu"),
     NdArray: cfg(feature = "ndarray"),
@@ -40,9 +50,7 @@ use crate::tiles::capacity::within_capacity;
 pub trait SplatOps: Backend {
     /// On the tape, CPU kernels keep the projected Gaussians in `kept` for the way back; GPU kernels project them again.
     fn splat(
-        #[extension_type] gaussians: GaussianTensors<Self>,
-        probe: FloatTensor<Self>,
-        limits: FloatTensor<Self>,
+        #[extension_type] input: SplatInput<Self>,
         camera: Camera,
         filter: ScreenFilter,
         kept: Kept,
@@ -57,27 +65,9 @@ pub trait SplatOps: Backend {
     ) -> FloatTensor<Self>;
 }
 
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait SplatBackwardOps: Backend {
-    /// Gradients with respect to the Gaussians, and to the probe [M, 2], empty [0, 2] unless it is `probed`.
-    fn splat_backward(
-        #[extension_type] gaussians: GaussianTensors<Self>,
-        limits: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        camera: Camera,
-        filter: ScreenFilter,
-        probed: bool,
-        kept: Kept,
-    ) -> SplatGradients<Self>;
-}
-
-/// Gradients with respect to what is splatted.
-#[derive(ExtensionType, Debug, Clone)]
-pub struct SplatGradients<B: Backend> {
-    #[extension_type]
-    pub gaussians: GaussianTensors<B>,
-    /// [M, 2] or [0, 2]
-    pub probe: FloatTensor<B>,
+/// The tensors of Gaussians, then that of the probe.
+fn with_probe<V>([positions, quaternions, log_scales, opacities, colours]: [V; 5], probe: V) -> [V; 6] {
+    [positions, quaternions, log_scales, opacities, colours, probe]
 }
 
 /// Sums [K, 4, H, W] of `gaussians` in `colours` [M, 3], as seen from the camera, for ascending interval
@@ -115,11 +105,13 @@ pub fn splat_probed(
             Tensor::from_data(nothing, (&colours.device(), colours.dtype()))
         }
     };
-    let gaussians = GaussianTensors::new(gaussians, colours)?;
-    let (probe, limits) = (probe.into_dispatch(), limits.clone().into_dispatch());
-    Ok(Tensor::from_dispatch(within_capacity(|| {
-        Dispatch::splat(gaussians, probe, limits, *camera, filter, Kept::default())
-    })?))
+    let input = SplatInput {
+        gaussians: GaussianTensors::new(gaussians, colours)?,
+        probe: probe.into_dispatch(),
+        limits: limits.clone().into_dispatch(),
+    };
+    let sums = within_capacity(|| Dispatch::splat(input, *camera, filter, Kept::default()))?;
+    Ok(Tensor::from_dispatch(sums))
 }
 
 /// Largest value over all pixels of α · gate · max|colour| for each Gaussian, `[M]`, where `gates`

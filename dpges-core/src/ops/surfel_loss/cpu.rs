@@ -4,12 +4,11 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
-use super::{
-    FEWEST_LAYERS, SurfelLossBackwardOps, SurfelLossGradients, SurfelLossInput, SurfelLossOps, SurfelLossOutput,
-    SurfelLossWeights,
-};
-use crate::backend::host::{self, Host, for_each_cpu_backend, with_real};
+use super::autodiff::SurfelLossState;
+use super::{FEWEST_LAYERS, SurfelLossInput, SurfelLossOps, SurfelLossOutput, SurfelLossWeights};
+use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
+use crate::backend::tape::WayBack;
 
 /// Pixels of a task.
 const CHUNK: usize = 1 << 12;
@@ -79,8 +78,8 @@ fn forward<T: Real>(inputs: &Inputs<T>, weights: &SurfelLossWeights) -> [T; 2] {
     [0, 1].map(|which| sums.iter().map(|sums| sums[which]).sum::<T>() * T::of(shares[which]))
 }
 
-/// Gradients with respect to the image and to the transmittance; that of a term of weight 0 is empty.
-fn backward<T: Real>(inputs: &Inputs<T>, layers: usize, grad: T, weights: &SurfelLossWeights) -> [Vec<T>; 2] {
+/// Gradients with respect to the image and to the transmittance; `None` of a term of weight 0.
+fn backward<T: Real>(inputs: &Inputs<T>, layers: usize, grad: T, weights: &SurfelLossWeights) -> [Option<Vec<T>>; 2] {
     let (plane, [image, transmittance]) = (inputs.plane, shares(inputs.plane, weights));
     let (image, transmittance) =
         (grad * T::of(weights.image * image), grad * T::of(weights.transmittance * transmittance));
@@ -94,10 +93,11 @@ fn backward<T: Real>(inputs: &Inputs<T>, layers: usize, grad: T, weights: &Surfe
         let is_last = plane_of == layers && inputs.covered(pixel);
         if is_last { -T::of(2.0) * transmittance * (T::one() - inputs.transmittance[pixel]) } else { T::zero() }
     };
-    let numbers = |count: usize, weight: f64| if weight == 0.0 { 0 } else { count * plane };
-    let grad_image = (0..numbers(3, weights.image)).into_par_iter().with_min_len(CHUNK).map(of_image).collect();
-    let grad_transmittance = (0..numbers(layers + 1, weights.transmittance)).into_par_iter().with_min_len(CHUNK);
-    [grad_image, grad_transmittance.map(of_transmittance).collect()]
+    let places = |planes: usize| (0..planes * plane).into_par_iter().with_min_len(CHUNK);
+    [
+        (weights.image != 0.0).then(|| places(3).map(of_image).collect()),
+        (weights.transmittance != 0.0).then(|| places(layers + 1).map(of_transmittance).collect()),
+    ]
 }
 
 /// The summand of a term of this weight.
@@ -105,63 +105,30 @@ fn term<T: Real>(value: T, weight: f64) -> T {
     if weight == 0.0 { T::zero() } else { value * T::of(weight) }
 }
 
-fn surfel_loss_on<B: Host>(
-    input: &SurfelLossInput<B>,
-    weights: &SurfelLossWeights,
-    masked: bool,
-) -> SurfelLossOutput<B> {
-    let device = input.image.device();
-    with_real!(input.image.dtype(), T => {
-        let [image, transmittance] = Inputs::<T>::with(input, masked, |inputs| forward(inputs, weights));
-        let weighted = term(image, weights.image) + term(transmittance, weights.transmittance);
-        let [weighted, image, transmittance] = [weighted, image, transmittance]
-            .map(|value| host::float_tensor::<B, T, 1>(vec![value], [1], &device));
-        SurfelLossOutput { weighted, image, transmittance }
-    })
+impl<B: Host> SurfelLossOps for B {
+    fn surfel_loss(input: SurfelLossInput<B>, weights: SurfelLossWeights, masked: bool) -> SurfelLossOutput<B> {
+        let device = input.image.device();
+        with_real!(input.image.dtype(), T => {
+            let [image, transmittance] = Inputs::<T>::with(&input, masked, |inputs| forward(inputs, &weights));
+            let weighted = term(image, weights.image) + term(transmittance, weights.transmittance);
+            let [weighted, image, transmittance] = [weighted, image, transmittance]
+                .map(|value| host::float_tensor::<B, T, 1>(vec![value], [1], &device));
+            SurfelLossOutput { weighted, image, transmittance }
+        })
+    }
 }
 
-fn surfel_loss_backward_on<B: Host>(
-    input: &SurfelLossInput<B>,
-    grad: &FloatTensor<B>,
-    weights: &SurfelLossWeights,
-    masked: bool,
-) -> SurfelLossGradients<B> {
-    let ([layers, height, width], device) = (input.ids.shape().dims(), input.image.device());
-    with_real!(input.image.dtype(), T => {
-        let grad = host::floats::<B, T>(grad)[0];
-        let [image, transmittance] =
-            Inputs::<T>::with(input, masked, |inputs| backward(inputs, layers, grad, weights));
-        let planes = |planes: usize, values: &[T]| if values.is_empty() { 0 } else { planes };
-        let (of_image, of_transmittance) = (planes(3, &image), planes(layers + 1, &transmittance));
-        SurfelLossGradients {
-            image: host::float_tensor::<B, T, 3>(image, [of_image, height, width], &device),
-            transmittance: host::float_tensor::<B, T, 3>(transmittance, [of_transmittance, height, width], &device),
-        }
-    })
+impl<B: Host> WayBack<B, 2> for SurfelLossState<B> {
+    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 2] {
+        let Self { input, weights, masked } = self;
+        let ([layers, height, width], device) = (input.ids.shape().dims(), input.image.device());
+        with_real!(input.image.dtype(), T => {
+            let grad = host::floats::<B, T>(&grad)[0];
+            Inputs::<T>::with(&input, masked, |inputs| backward(inputs, layers, grad, &weights)).map(|values| {
+                let values = values?;
+                let planes = values.len() / (height * width);
+                Some(host::float_tensor::<B, T, 3>(values, [planes, height, width], &device))
+            })
+        })
+    }
 }
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl SurfelLossOps for $backend {
-            fn surfel_loss(
-                input: SurfelLossInput<Self>,
-                weights: SurfelLossWeights,
-                masked: bool,
-            ) -> SurfelLossOutput<Self> {
-                surfel_loss_on::<Self>(&input, &weights, masked)
-            }
-        }
-
-        impl SurfelLossBackwardOps for $backend {
-            fn surfel_loss_backward(
-                input: SurfelLossInput<Self>,
-                grad: FloatTensor<Self>,
-                weights: SurfelLossWeights,
-                masked: bool,
-            ) -> SurfelLossGradients<Self> {
-                surfel_loss_backward_on::<Self>(&input, &grad, &weights, masked)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

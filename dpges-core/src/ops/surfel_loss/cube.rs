@@ -1,14 +1,13 @@
 //! GPU kernels: cubes leave sums over their pixels, and one cube adds these up; backward one unit per pixel.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::FloatTensor;
 use burn_cubecl::CubeBackend;
+use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{
-    FEWEST_LAYERS, SurfelLossBackwardOps, SurfelLossGradients, SurfelLossInput, SurfelLossOps, SurfelLossOutput,
-    SurfelLossWeights,
-};
+use super::autodiff::SurfelLossState;
+use super::{FEWEST_LAYERS, SurfelLossInput, SurfelLossOps, SurfelLossOutput, SurfelLossWeights};
+use crate::backend::tape::WayBack;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats, integers, units};
 use crate::gpu::mask::counts;
@@ -208,20 +207,15 @@ impl SurfelLossOps for CubeBackend {
     }
 }
 
-impl SurfelLossBackwardOps for CubeBackend {
-    fn surfel_loss_backward(
-        input: SurfelLossInput<Self>,
-        grad: FloatTensor<Self>,
-        weights: SurfelLossWeights,
-        masked: bool,
-    ) -> SurfelLossGradients<Self> {
+impl WayBack<CubeBackend, 2> for SurfelLossState<CubeBackend> {
+    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 2] {
+        let Self { input, weights, masked } = self;
         let (input, grad) = (contiguous(input), floats(grad));
         let [layers, height, width] = input.ids.shape().dims();
         let (client, pixels) = (grad.client.clone(), height * width);
         let pixel = weights.pixels_per_counted / pixels as f64;
-        let planes = |planes: usize, weight: f64| if weight == 0.0 { 0 } else { planes };
-        let image = empty_f32(&grad, [planes(3, weights.image), height, width]);
-        if weights.image != 0.0 {
+        let image = (weights.image != 0.0).then(|| {
+            let image = empty_f32(&grad, [3, height, width]);
             image_backward_kernel::launch(
                 &client,
                 units(pixels),
@@ -235,9 +229,10 @@ impl SurfelLossBackwardOps for CubeBackend {
                 (weights.image * pixel / 3.0) as f32,
                 masked,
             );
-        }
-        let transmittance = empty_f32(&grad, [planes(layers + 1, weights.transmittance), height, width]);
-        if weights.transmittance != 0.0 {
+            image
+        });
+        let transmittance = (weights.transmittance != 0.0).then(|| {
+            let transmittance = empty_f32(&grad, [layers + 1, height, width]);
             transmittance_backward_kernel::launch(
                 &client,
                 units(pixels),
@@ -252,7 +247,8 @@ impl SurfelLossBackwardOps for CubeBackend {
                 layers,
                 masked,
             );
-        }
-        SurfelLossGradients { image, transmittance }
+            transmittance
+        });
+        [image, transmittance]
     }
 }

@@ -57,13 +57,6 @@ pub struct SurfelLossOutput<B: Backend> {
     pub transmittance: FloatTensor<B>,
 }
 
-/// Gradients. One of weight 0 is empty.
-#[derive(ExtensionType, Debug, Clone)]
-pub struct SurfelLossGradients<B: Backend> {
-    pub image: FloatTensor<B>,
-    pub transmittance: FloatTensor<B>,
-}
-
 #[backend_extension(
     Cube: cfg(feature = "gpu"),
     NdArray: cfg(feature = "ndarray"),
@@ -76,16 +69,6 @@ pub trait SurfelLossOps: Backend {
         weights: SurfelLossWeights,
         masked: bool,
     ) -> SurfelLossOutput<Self>;
-}
-
-#[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait SurfelLossBackwardOps: Backend {
-    fn surfel_loss_backward(
-        #[extension_type] input: SurfelLossInput<Self>,
-        grad: FloatTensor<Self>,
-        weights: SurfelLossWeights,
-        masked: bool,
-    ) -> SurfelLossGradients<Self>;
 }
 
 /// The results of [`surfel_loss`], `[1]` each.

@@ -4,24 +4,15 @@ use burn::backend::TensorMetadata;
 use burn::backend::tensor::{FloatTensor, IntTensor};
 
 use super::{IN_A_WORD, UnpackOps};
-use crate::backend::host::{self, Host, for_each_cpu_backend};
+use crate::backend::host::{self, Host};
 
-fn unpack_on<B: Host>(words: &IntTensor<B>, shape: [usize; 3]) -> FloatTensor<B> {
-    let [channels, height, width] = shape;
-    let packed = host::ints::<B>(words);
-    let value = |at: usize| f32::from(packed[at / IN_A_WORD].to_le_bytes()[at % IN_A_WORD]) / 255.0;
-    let plane = |channel: usize| (0..height * width).map(move |pixel| pixel * channels + channel).map(value);
-    let values: Vec<f32> = (0..channels).flat_map(plane).collect();
-    host::float_tensor::<B, f32, 3>(values, shape, &words.device())
+impl<B: Host> UnpackOps for B {
+    fn unpack(words: IntTensor<B>, shape: [usize; 3]) -> FloatTensor<B> {
+        let [channels, height, width] = shape;
+        let packed = host::ints::<B>(&words);
+        let value = |at: usize| f32::from(packed[at / IN_A_WORD].to_le_bytes()[at % IN_A_WORD]) / 255.0;
+        let plane = |channel: usize| (0..height * width).map(move |pixel| pixel * channels + channel).map(value);
+        let values: Vec<f32> = (0..channels).flat_map(plane).collect();
+        host::float_tensor::<B, f32, 3>(values, shape, &words.device())
+    }
 }
-
-macro_rules! implement {
-    ($backend:ty) => {
-        impl UnpackOps for $backend {
-            fn unpack(words: IntTensor<Self>, shape: [usize; 3]) -> FloatTensor<Self> {
-                unpack_on::<Self>(&words, shape)
-            }
-        }
-    };
-}
-for_each_cpu_backend!(implement);

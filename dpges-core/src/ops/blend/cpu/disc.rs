@@ -209,11 +209,6 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
     }
 
     #[inline(always)]
-    fn touches(&self, _: usize, _: usize) -> bool {
-        true
-    }
-
-    #[inline(always)]
     fn draw<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> Option<Drawn<T, S>> {
         let all = |value: f64| Lanes::splat(dx.simd(), T::of(value));
         let [u, v, z, facing] = self.plane.meet(dx, dy);

@@ -4,14 +4,15 @@ use pulp::{Scalar, Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::distortion::{self, Spread};
-use super::hybrid::Tile;
+use super::hybrid::HybridTile;
 use super::normal::normal_backward;
 use super::projected::{CameraPair, Drawn, Group, Layout, MOST_SUMS, Projected, Sums};
 use super::rays::walk_rays;
-use super::walk::{Progress, Said, Sorted, Thresholds, capped, walk_tile};
+use super::walk::{Progress, Said, Sorted, Thresholds, Tile, capped, walk_tile};
 use crate::backend::kept::Kept;
-use crate::backend::lanes::{Lanes, Mask, with_lanes};
+use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
+use crate::backend::simd::vectorised;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu::ParameterGrad;
 use crate::footprint::gaussian::tensors::GaussianRows;
@@ -181,15 +182,10 @@ impl<T: Real> WayBack<'_, T> {
 
 /// The backward pass of a tile.
 struct GatherTile<'a, T, F> {
-    sorted: &'a Sorted<T, F>,
-    camera: &'a CameraOf<T>,
-    tile: usize,
+    tile: Tile<'a, T, F>,
     /// [planes, `TILE_PIXELS`], zero outside the image.
     grad: &'a [T],
     layout: &'a Layout,
-    thresholds: &'a Thresholds<T>,
-    slope: T,
-    order: BlendOrder,
 }
 
 impl<T: Real, F: Projected<T>> WithSimd for GatherTile<'_, T, F> {
@@ -214,11 +210,11 @@ impl<T: Real, F: Projected<T>> WithSimd for GatherTile<'_, T, F> {
 impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
     #[inline(always)]
     fn gather<S: Simd, const MAPS: bool>(&self, simd: S) -> Vec<T> {
-        match self.order {
+        match self.tile.order {
             BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted) => self.by_centres::<S, MAPS>(simd),
             BlendOrder::Rays => self.said::<S, MAPS>(simd, &self.by_rays::<MAPS>()),
             BlendOrder::Whitened(transparency) => {
-                let tile = Tile::new(simd, self.sorted, self.camera, self.tile, self.thresholds, transparency);
+                let tile = HybridTile::new(simd, &self.tile, transparency);
                 self.said::<S, MAPS>(simd, &tile.go_back::<MAPS>(self.grad))
             }
         }
@@ -226,9 +222,9 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
 
     #[inline(always)]
     fn entry<const MAPS: bool>(&self, position: usize, number: T) -> (usize, Entry<'_, T, F>) {
-        let id = self.sorted.lists.of(self.tile)[position] as usize;
-        let footprint = &self.sorted.footprints[id];
-        let normal = if MAPS { self.sorted.normals[id] } else { [T::zero(); 3] };
+        let id = self.tile.list()[position] as usize;
+        let footprint = &self.tile.sorted.footprints[id];
+        let normal = if MAPS { self.tile.sorted.normals[id] } else { [T::zero(); 3] };
         (id, Entry { position: number, footprint, colour: footprint.colour(), normal })
     }
 
@@ -239,22 +235,20 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
         WayBack {
             behind: std::array::from_fn(|pixel| -of_alpha[pixel]),
             grad: self.grad,
-            max_alpha: self.thresholds.max_alpha,
+            max_alpha: self.tile.thresholds.max_alpha,
             spread,
             alpha: std::array::from_fn(|pixel| T::one() - progress.through[pixel]),
-            slope: self.slope,
+            slope: self.tile.slope,
             progress,
         }
     }
 
     #[inline(always)]
     fn by_centres<S: Simd, const MAPS: bool>(&self, simd: S) -> Vec<T> {
-        let mut spread = Spread::new(self.slope);
+        let mut spread = Spread::new(self.tile.slope);
         let progress = walk_tile(
             simd,
-            self.sorted,
-            self.tile,
-            self.thresholds,
+            &self.tile,
             #[inline(always)]
             |_, start, fragments| {
                 if MAPS {
@@ -262,7 +256,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
                 }
             },
         );
-        let (origin, width) = (self.sorted.grid.origin(self.tile), self.layout.width());
+        let (origin, width) = (self.tile.origin(), self.layout.width());
         let mut totals = vec![T::zero(); progress.last_end(simd) * width];
         let mut way = self.way_back(progress, spread);
         for (position, totals) in totals.chunks_exact_mut(width).enumerate().rev() {
@@ -271,7 +265,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
             for_each_lanes(
                 simd,
                 entry.footprint.anchor(),
-                &self.sorted.rects[id],
+                &self.tile.sorted.rects[id],
                 origin,
                 #[inline(always)]
                 |start, dx, dy| {
@@ -287,9 +281,9 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
 
     /// First back through every pixel by itself, in the order of its own ray.
     fn by_rays<const MAPS: bool>(&self) -> Vec<Said<T>> {
-        let mut spread = Spread::new(self.slope);
+        let mut spread = Spread::new(self.tile.slope);
         let mut orders: Vec<Vec<usize>> = vec![Vec::new(); TILE_PIXELS];
-        let through = walk_rays(self.sorted, self.camera, self.tile, self.thresholds, |position, pixel, fragments| {
+        let through = walk_rays(&self.tile, |position, pixel, fragments| {
             if MAPS {
                 spread.add(pixel, fragments);
             }
@@ -302,7 +296,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
             way.progress.end[pixel] = T::one();
             for &position in order.iter().rev() {
                 let (_, entry) = self.entry::<MAPS>(position, T::zero());
-                let [dx, dy] = pixel_offset(entry.footprint.anchor(), self.sorted.grid.origin(self.tile), pixel);
+                let [dx, dy] = pixel_offset(entry.footprint.anchor(), self.tile.origin(), pixel);
                 let dx = Lanes::splat(Scalar::new(), dx);
                 if let Some(group) = way.pass::<F, Scalar, MAPS>(&entry, pixel, dx, dy) {
                     let numbers = [group.covered, group.power, group.grad_depth];
@@ -318,7 +312,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
     /// Over the pixels of the primitives, from what these say about them.
     #[inline(always)]
     fn said<S: Simd, const MAPS: bool>(&self, simd: S, said: &[Said<T>]) -> Vec<T> {
-        let (origin, width) = (self.sorted.grid.origin(self.tile), self.layout.width());
+        let (origin, width) = (self.tile.origin(), self.layout.width());
         let mut totals = vec![T::zero(); said.len() * width];
         for (position, (totals, said)) in totals.chunks_exact_mut(width).zip(said).enumerate() {
             let (id, Entry { footprint, .. }) = self.entry::<MAPS>(position, T::zero());
@@ -327,7 +321,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
             for_each_lanes(
                 simd,
                 footprint.anchor(),
-                &self.sorted.rects[id],
+                &self.tile.sorted.rects[id],
                 origin,
                 #[inline(always)]
                 |start, dx, dy| {
@@ -361,8 +355,8 @@ fn gather<T: Real, F: Projected<T>>(
     let mut sums = vec![T::zero(); sorted.footprints.len() * width];
     let of_tile = |tile: usize| {
         let grad = &grad[tile * block..][..block];
-        let order = options.order;
-        with_lanes(GatherTile { sorted, camera, tile, grad, layout, thresholds: &thresholds, slope, order })
+        let tile = Tile { sorted, camera, number: tile, thresholds: &thresholds, slope, order: options.order };
+        vectorised(GatherTile { tile, grad, layout })
     };
     for first_tile in (0..sorted.grid.len()).step_by(BATCH) {
         let batch = first_tile..sorted.grid.len().min(first_tile + BATCH);

@@ -2,13 +2,11 @@
 
 use pulp::Simd;
 
-use super::distortion::slope;
 use super::projected::{Drawn, Projected};
-use super::walk::{Said, Sorted, Thresholds};
+use super::walk::{Said, Tile};
 use super::{ALPHA_PLANE, DEPTH_PLANE, DISTORTION_PLANE, MEDIAN, NORMAL_PLANE};
 use crate::backend::real::Real;
 use crate::backend::vectors::MOST;
-use crate::math::CameraOf;
 use crate::ops::blend::{CORE, CORE_ALPHA};
 use crate::scene::Transparency;
 use crate::tiles::{TILE, TILE_PIXELS, for_each_lanes};
@@ -60,45 +58,32 @@ struct Weights<T> {
 }
 
 /// The blending of a tile.
-pub struct Tile<'a, T, F, S> {
+pub struct HybridTile<'a, T, F, S> {
     simd: S,
-    sorted: &'a Sorted<T, F>,
-    tile: usize,
-    thresholds: &'a Thresholds<T>,
+    tile: &'a Tile<'a, T, F>,
     transparency: Transparency,
-    slope: T,
 }
 
 fn weighted<T: Real>(coefficients: &[T; PAYLOAD], payload: &[T; PAYLOAD]) -> T {
     coefficients.iter().zip(payload).map(|(&coefficient, &value)| coefficient * value).sum()
 }
 
-impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
-    pub fn new(
-        simd: S,
-        sorted: &'a Sorted<T, F>,
-        camera: &CameraOf<T>,
-        tile: usize,
-        thresholds: &'a Thresholds<T>,
-        transparency: Transparency,
-    ) -> Self {
-        Self { simd, sorted, tile, thresholds, transparency, slope: slope(camera) }
-    }
-
-    fn list(&self) -> &'a [u32] {
-        self.sorted.lists.of(self.tile)
+impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
+    pub fn new(simd: S, tile: &'a Tile<'a, T, F>, transparency: Transparency) -> Self {
+        Self { simd, tile, transparency }
     }
 
     /// Calls `visit(pixel, fragment)` for every fragment of an entry of the list.
     #[inline(always)]
     fn for_each_fragment(&self, position: usize, mut visit: impl FnMut(usize, Fragment<T>)) {
-        let (grid, origin) = (self.sorted.grid, self.sorted.grid.origin(self.tile));
-        let id = self.list()[position] as usize;
-        let footprint = &self.sorted.footprints[id];
+        let (sorted, origin) = (self.tile.sorted, self.tile.origin());
+        let grid = sorted.grid;
+        let id = self.tile.list()[position] as usize;
+        let footprint = &sorted.footprints[id];
         for_each_lanes(
             self.simd,
             footprint.anchor(),
-            &self.sorted.rects[id],
+            &sorted.rects[id],
             origin,
             #[inline(always)]
             |start, dx, dy| {
@@ -118,18 +103,18 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
     }
 
     fn alpha(&self, fragment: &Fragment<T>) -> T {
-        fragment.weight.min(self.thresholds.max_alpha)
+        fragment.weight.min(self.tile.thresholds.max_alpha)
     }
 
     #[inline(always)]
     fn payload<const MAPS: bool>(&self, fragment: &Fragment<T>, reference: T) -> [T; PAYLOAD] {
         let mut payload = [T::zero(); PAYLOAD];
-        let id = self.list()[fragment.position as usize] as usize;
-        payload[..3].copy_from_slice(&self.sorted.footprints[id].colour());
+        let id = self.tile.list()[fragment.position as usize] as usize;
+        payload[..3].copy_from_slice(&self.tile.sorted.footprints[id].colour());
         if MAPS {
-            let m = self.slope * (reference - T::one() / fragment.depth);
+            let m = self.tile.slope * (reference - T::one() / fragment.depth);
             payload[Z] = fragment.depth;
-            payload[NORMAL..M].copy_from_slice(&self.sorted.normals[id]);
+            payload[NORMAL..M].copy_from_slice(&self.tile.sorted.normals[id]);
             (payload[M], payload[M + 1]) = (m, m * m);
         }
         payload
@@ -172,7 +157,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
             payload: [T::zero(); PAYLOAD],
         };
         let mut pixels = vec![empty; TILE_PIXELS];
-        for position in 0..self.list().len() {
+        for position in 0..self.tile.list().len() {
             self.for_each_fragment(
                 position,
                 #[inline(always)]
@@ -196,7 +181,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
                 *sum = *sum + *covered * value;
             }
             weights.through = through;
-            if through < self.thresholds.min_transmittance {
+            if through < self.tile.thresholds.min_transmittance {
                 weights.through = zero;
                 break;
             }
@@ -247,7 +232,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
     #[inline(always)]
     pub fn go_back<const MAPS: bool>(&self, grad: &[T]) -> Vec<Said<T>> {
         let pixels = self.pixels::<MAPS>();
-        let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; self.list().len()];
+        let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; self.tile.list().len()];
         let back: Vec<WayBack<T>> =
             (0..TILE_PIXELS).map(|at| self.say_core::<MAPS>(&pixels[at], at, grad, &mut said)).collect();
         for (position, said) in said.iter_mut().enumerate() {
@@ -277,12 +262,12 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
         reference: T,
     ) {
         let inverse = T::one() / fragment.depth;
-        let m = self.slope * (reference - inverse);
+        let m = self.tile.slope * (reference - inverse);
         let grad_m = back.coefficients[M] + T::of(2.0) * back.coefficients[M + 1] * m;
-        let free = fragment.weight < self.thresholds.max_alpha;
+        let free = fragment.weight < self.tile.thresholds.max_alpha;
         said[0][at] = covered;
         said[1][at] = if free { power } else { T::zero() };
-        said[2][at] = covered * (back.coefficients[Z] + grad_m * self.slope * inverse * inverse);
+        said[2][at] = covered * (back.coefficients[Z] + grad_m * self.tile.slope * inverse * inverse);
     }
 
     /// Says what the core of a pixel says, and returns what the tail needs.
@@ -314,7 +299,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> Tile<'a, T, F, S> {
     /// Calls `visit(id, w)` with the weight of every fragment.
     #[inline(always)]
     pub fn for_each_weight(&self, mut visit: impl FnMut(usize, T)) {
-        let list = self.list();
+        let list = self.tile.list();
         let pixels = self.pixels::<false>();
         let weights: Vec<Weights<T>> = pixels.iter().map(|pixel| self.weights::<false>(pixel)).collect();
         for (pixel, weights) in pixels.iter().zip(&weights) {

@@ -75,6 +75,23 @@ pub struct Sums<'a, V> {
     pub maps: &'a mut [V],
 }
 
+impl<T: Real> Sums<'_, T> {
+    /// The sums of an ellipse, which come first.
+    pub fn ellipse(&self) -> SplatGrad<T> {
+        SplatGrad {
+            moments: std::array::from_fn(|i| self.footprint[i]),
+            colour: std::array::from_fn(|c| self.colour[c]),
+        }
+    }
+
+    /// Adds the gradient of the depth of the centre to that of the position, if there are maps.
+    pub fn add_depth(&self, view: &CameraPair<T>, parameters: &Parameters<T>, grad: &mut ParameterGrad<T>) {
+        if let [.., of_depth] = *self.maps {
+            grad.position = add(grad.position, scale(view.camera.depth_slope(parameters.position), of_depth));
+        }
+    }
+}
+
 /// Which sums there are.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
@@ -114,8 +131,11 @@ pub trait Projected<T: Real>: Copy + Send + Sync + 'static {
     /// `None` where no pixel can see it.
     fn new(view: &CameraPair<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self>;
 
-    /// Which axis is the normal.
-    fn normal_axis(parameters: &Parameters<T>) -> usize;
+    /// Which axis is the normal: that with the smallest scale.
+    fn normal_axis(parameters: &Parameters<T>) -> usize {
+        let size = |axis: usize| parameters.log_scales[axis].as_f64();
+        (0..3).min_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap_or(0)
+    }
 
     fn colour(&self) -> V3<T>;
 
@@ -133,8 +153,11 @@ pub trait Projected<T: Real>: Copy + Send + Sync + 'static {
     /// Pixels at which α can reach the cutoff.
     fn reach(&self, grid: TileGrid) -> PixelRect;
 
-    /// Whether α can reach the cutoff at some pixel of a tile.
-    fn touches(&self, tile_x: usize, tile_y: usize) -> bool;
+    /// Whether α can reach the cutoff at some pixel of the tile in a column and a row.
+    #[inline(always)]
+    fn touches(&self, _: usize, _: usize) -> bool {
+        true
+    }
 
     /// At offsets from the anchor, px; `None` if there is no fragment.
     fn draw<S: Simd>(&self, dx: Lanes<T, S>, dy: T) -> Option<Drawn<T, S>>;
@@ -150,12 +173,6 @@ pub trait Projected<T: Real>: Copy + Send + Sync + 'static {
 
     /// From the sums to the raw parameters; what the normal and the colour pass on is not included.
     fn backward(&self, view: &CameraPair<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T>;
-}
-
-/// The axis with the smallest scale.
-pub fn thinnest_axis<T: Real>(parameters: &Parameters<T>) -> usize {
-    let size = |axis: usize| parameters.log_scales[axis].as_f64();
-    (0..3).min_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap_or(0)
 }
 
 /// Adds gradients in x and y to a probe.
@@ -204,10 +221,6 @@ impl<T: Real> Projected<T> for Ellipse<T> {
         Splat::new(&view.camera, parameters, colour, view.filter).map(Self)
     }
 
-    fn normal_axis(parameters: &Parameters<T>) -> usize {
-        thinnest_axis(parameters)
-    }
-
     #[inline(always)]
     fn colour(&self) -> V3<T> {
         self.0.colour
@@ -250,14 +263,8 @@ impl<T: Real> Projected<T> for Ellipse<T> {
     }
 
     fn backward(&self, view: &CameraPair<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T> {
-        let sum = SplatGrad {
-            moments: std::array::from_fn(|i| sums.footprint[i]),
-            colour: std::array::from_fn(|c| sums.colour[c]),
-        };
-        let mut grad = splat::backward(&view.camera, parameters, &self.0, &sum, view.filter);
-        if let [.., of_depth] = *sums.maps {
-            grad.position = add(grad.position, scale(view.camera.depth_slope(parameters.position), of_depth));
-        }
+        let mut grad = splat::backward(&view.camera, parameters, &self.0, &sums.ellipse(), view.filter);
+        sums.add_depth(view, parameters, &mut grad);
         grad
     }
 }

@@ -2,8 +2,7 @@
 
 use pulp::Scalar;
 
-use super::projected::Projected;
-use super::walk::{Fragments, Sorted, Thresholds};
+use super::walk::{Fragments, Thresholds, Tile};
 use crate::backend::real::Real;
 use crate::footprint::gaussian::cpu::along_ray::{AlongRay, unit_ray};
 use crate::math::{CameraOf, V3};
@@ -92,14 +91,8 @@ fn quarters(at: usize, row: usize) -> [usize; 4] {
 }
 
 impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T, Scalar>)> Walk<'a, T, V> {
-    fn new<F>(
-        sorted: &'a Sorted<T, F>,
-        camera: &CameraOf<T>,
-        tile: usize,
-        thresholds: &'a Thresholds<T>,
-        visit: V,
-    ) -> Self {
-        let (grid, origin) = (sorted.grid, sorted.grid.origin(tile));
+    fn new<F>(tile: &Tile<'a, T, F>, visit: V) -> Self {
+        let (grid, origin) = (tile.sorted.grid, tile.origin());
         let pixel = |at: usize| {
             let open = origin.0 + at % TILE < grid.width && origin.1 + at / TILE < grid.height;
             Pixel { queue: Queue::new(), through: T::one(), open }
@@ -110,11 +103,11 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T, Scalar>)> Walk<'a, T, V> 
             open[block_of(at)] += 1;
         }
         Self {
-            along: &sorted.along,
-            list: sorted.lists.of(tile),
+            along: &tile.sorted.along,
+            list: tile.list(),
             origin,
-            thresholds,
-            rays: [BLOCK, QUAD, 1].map(|edge| rays(camera, origin, edge)),
+            thresholds: tile.thresholds,
+            rays: [BLOCK, QUAD, 1].map(|edge| rays(tile.camera, origin, edge)),
             blocks: vec![Queue::new(); BLOCKS * BLOCKS],
             quads: vec![Queue::new(); QUADS * QUADS],
             pixels,
@@ -211,14 +204,14 @@ fn block_of(pixel: usize) -> usize {
 }
 
 /// Positions in the list of a tile by t* where α is largest.
-fn by_depth_in_tile<T: Real, F>(sorted: &Sorted<T, F>, camera: &CameraOf<T>, tile: usize) -> Vec<u32> {
-    let (list, origin) = (sorted.lists.of(tile), sorted.grid.origin(tile));
+fn by_depth_in_tile<T: Real, F>(tile: &Tile<T, F>) -> Vec<u32> {
+    let origin = tile.origin();
     let key = |id: u32| {
-        let along = &sorted.along[id as usize];
+        let along = &tile.sorted.along[id as usize];
         let ([dx, dy], _) = along.splat.nearest([origin.0, origin.1], [TILE; 2]);
-        along.depth(unit_ray(camera, [along.splat.mean[0] + dx, along.splat.mean[1] + dy])).as_f64()
+        along.depth(unit_ray(tile.camera, [along.splat.mean[0] + dx, along.splat.mean[1] + dy])).as_f64()
     };
-    let mut keyed: Vec<(f64, u32)> = list.iter().zip(0..).map(|(&id, position)| (key(id), position)).collect();
+    let mut keyed: Vec<(f64, u32)> = tile.list().iter().zip(0..).map(|(&id, position)| (key(id), position)).collect();
     // stable: ties stay in the order of the list
     keyed.sort_by(|(a, _), (b, _)| a.total_cmp(b));
     keyed.into_iter().map(|(_, position)| position).collect()
@@ -226,15 +219,12 @@ fn by_depth_in_tile<T: Real, F>(sorted: &Sorted<T, F>, camera: &CameraOf<T>, til
 
 /// Goes through a tile, each pixel in its own order. Calls `visit(position, pixel, fragment)` for every fragment that is
 /// blended: with its position in the list, and the pixel in the tile. Returns T behind everything.
-pub fn walk_rays<T: Real, F: Projected<T>>(
-    sorted: &Sorted<T, F>,
-    camera: &CameraOf<T>,
-    tile: usize,
-    thresholds: &Thresholds<T>,
+pub fn walk_rays<T: Real, F>(
+    tile: &Tile<T, F>,
     visit: impl FnMut(usize, usize, &Fragments<T, Scalar>),
 ) -> [T; TILE_PIXELS] {
-    let mut walk = Walk::new(sorted, camera, tile, thresholds, visit);
-    for position in by_depth_in_tile(sorted, camera, tile) {
+    let mut walk = Walk::new(tile, visit);
+    for position in by_depth_in_tile(tile) {
         walk.enter(position);
     }
     walk.finish();

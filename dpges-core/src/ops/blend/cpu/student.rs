@@ -2,13 +2,13 @@
 
 use pulp::Simd;
 
-use super::projected::{CameraPair, Drawn, Group, Projected, Sums, add_depths, add_to_ellipse, thinnest_axis};
+use super::projected::{CameraPair, Drawn, Group, Projected, Sums, add_depths, add_to_ellipse};
 use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::footprint::gaussian::cpu::student::{self, Student};
-use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters, SplatGrad};
+use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters};
 use crate::footprint::moments::MOMENTS;
-use crate::math::{V3, add, scale};
+use crate::math::V3;
 use crate::tiles::{PixelRect, TileGrid};
 
 impl<T: Real> Projected<T> for Student<T> {
@@ -18,10 +18,6 @@ impl<T: Real> Projected<T> for Student<T> {
 
     fn new(view: &CameraPair<T>, parameters: &Parameters<T>, colour: V3<T>) -> Option<Self> {
         Self::new(&view.camera, parameters, colour)
-    }
-
-    fn normal_axis(parameters: &Parameters<T>) -> usize {
-        thinnest_axis(parameters)
     }
 
     #[inline(always)]
@@ -69,15 +65,9 @@ impl<T: Real> Projected<T> for Student<T> {
     }
 
     fn backward(&self, view: &CameraPair<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T> {
-        let sum = SplatGrad {
-            moments: std::array::from_fn(|i| sums.footprint[i]),
-            colour: std::array::from_fn(|c| sums.colour[c]),
-        };
         let rest = [sums.footprint[MOMENTS], sums.footprint[MOMENTS + 1]];
-        let mut grad = student::backward(&view.camera, parameters, self, &sum, rest);
-        if let [.., of_depth] = *sums.maps {
-            grad.position = add(grad.position, scale(view.camera.depth_slope(parameters.position), of_depth));
-        }
+        let mut grad = student::backward(&view.camera, parameters, self, &sums.ellipse(), rest);
+        sums.add_depth(view, parameters, &mut grad);
         grad
     }
 }

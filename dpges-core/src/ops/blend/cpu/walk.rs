@@ -9,7 +9,7 @@ use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
 use crate::footprint::gaussian::cpu::along_ray::AlongRay;
 use crate::footprint::gaussian::tensors::GaussianRows;
-use crate::math::V3;
+use crate::math::{CameraOf, V3};
 use crate::ops::blend::BlendOptions;
 use crate::scene::BlendOrder;
 use crate::tiles::binning::cpu::{TileLists, bin};
@@ -62,6 +62,31 @@ impl<T: Real, F: Projected<T>> Sorted<T, F> {
         let rects: Vec<PixelRect> = footprints.par_iter().map(|footprint| footprint.reach(grid)).collect();
         let lists = bin(&rects, grid, |i, tx, ty| footprints[i].touches(tx, ty));
         Self { rows, footprints, normals, along, rects, grid, lists }
+    }
+}
+
+/// A tile of a view, and how its pixels are blended.
+pub struct Tile<'a, T, F> {
+    pub sorted: &'a Sorted<T, F>,
+    pub camera: &'a CameraOf<T>,
+    pub number: usize,
+    pub thresholds: &'a Thresholds<T>,
+    /// That of the m of distortion.
+    pub slope: T,
+    pub order: BlendOrder,
+}
+
+impl<'a, T, F> Tile<'a, T, F> {
+    /// Positions of its primitives among the sorted ones.
+    #[inline(always)]
+    pub fn list(&self) -> &'a [u32] {
+        self.sorted.lists.of(self.number)
+    }
+
+    /// Its first pixel.
+    #[inline(always)]
+    pub fn origin(&self) -> (usize, usize) {
+        self.sorted.grid.origin(self.number)
     }
 }
 
@@ -148,12 +173,10 @@ impl<T: Real> Fragments<T, Scalar> {
 #[inline(always)]
 pub fn walk_tile<T: Real, F: Projected<T>, S: Simd>(
     simd: S,
-    sorted: &Sorted<T, F>,
-    tile: usize,
-    thresholds: &Thresholds<T>,
+    tile: &Tile<T, F>,
     mut visit: impl FnMut(usize, usize, &Fragments<T, S>),
 ) -> Progress<T> {
-    let (list, origin) = (sorted.lists.of(tile), sorted.grid.origin(tile));
+    let (list, origin, sorted, thresholds) = (tile.list(), tile.origin(), tile.sorted, tile.thresholds);
     let mut progress = Progress::<T>::new(list.len(), origin, sorted.grid);
     let all = |value: T| Lanes::splat(simd, value);
     let (one, least) = (all(T::one()), all(thresholds.min_transmittance));

@@ -2,7 +2,7 @@
 
 use pulp::Simd;
 
-use super::projected::{CameraPair, Drawn, Group, Projected, Sums, add_depths, thinnest_axis};
+use super::projected::{CameraPair, Drawn, Group, Projected, Sums, add_depths};
 use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::camera::Camera;
@@ -26,10 +26,6 @@ impl<T: Real> Projected<T> for WhitenedFootprint<T> {
         Whitened::new(camera, parameters, colour).map(|shape| Self { shape, slopes: shape.slopes(camera) })
     }
 
-    fn normal_axis(parameters: &Parameters<T>) -> usize {
-        thinnest_axis(parameters)
-    }
-
     #[inline(always)]
     fn colour(&self) -> V3<T> {
         self.shape.colour
@@ -46,11 +42,6 @@ impl<T: Real> Projected<T> for WhitenedFootprint<T> {
 
     fn reach(&self, _: TileGrid) -> PixelRect {
         self.shape.reach()
-    }
-
-    #[inline(always)]
-    fn touches(&self, _: usize, _: usize) -> bool {
-        true
     }
 
     #[inline(always)]

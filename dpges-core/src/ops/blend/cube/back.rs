@@ -2,8 +2,8 @@
 
 use cubecl::prelude::*;
 
-use super::Thresholds;
 use super::fragments::{Fragment, Payload};
+use super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, TOTAL, Thresholds};
 use crate::gpu::tile::plane_of;
 use crate::gpu::vector::{Vec3, vec3};
 use crate::gpu::view::CameraUniforms;
@@ -48,10 +48,21 @@ pub fn pixel_grad(grad: &[f32], pixel: usize, view: CameraUniforms, #[comptime] 
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Spread {
-    pub reference: f32,
-    pub total: f32,
-    pub first_moment: f32,
-    pub second_moment: f32,
+    reference: f32,
+    total: f32,
+    first_moment: f32,
+    second_moment: f32,
+}
+
+/// Those of the pixel with this `state` behind its last fragment.
+#[cube]
+pub fn spread_of(state: &Array<f32>) -> Spread {
+    Spread {
+        reference: state[REFERENCE],
+        total: state[TOTAL],
+        first_moment: state[FIRST_MOMENT],
+        second_moment: state[SECOND_MOMENT],
+    }
 }
 
 /// A pixel before a fragment, and what it says about that.

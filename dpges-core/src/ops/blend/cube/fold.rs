@@ -8,12 +8,14 @@ use crate::footprint::gaussian::cube::whitened::{WHITENED, WHITENED_SUMS, Whiten
 use crate::footprint::gaussian::cube::{SPLAT, Splat, add_moments};
 use crate::footprint::moments::MOMENTS;
 use crate::footprint::surfel::cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_sums};
-use crate::gpu::launch::UNITS;
+use crate::gpu::gather::zeros;
+use crate::gpu::launch::{HALVINGS, UNITS};
 use crate::gpu::record::Record;
 use crate::gpu::tile::{Pixel, pixel_of, plane_of};
 use crate::gpu::vector::scale;
 use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::Form;
+use crate::tiles::binning::cube::TileList;
 
 /// Entries whose sums a cube makes together, and the units that sum over the pixels of each.
 pub const ENTRIES: u32 = 4;
@@ -21,7 +23,7 @@ const SHARE: u32 = UNITS / ENTRIES;
 /// Numbers of an entry at a pixel: gradient of the exponent, covered share, gradient of the depth.
 pub const NUMBERS: usize = 3;
 /// Units that one unit folds for, and parts of a sum of an entry after that.
-pub const FOLD: usize = 16;
+const FOLD: usize = 16;
 const PARTS: usize = SHARE as usize / FOLD;
 /// Sums of the probe: Σ x, Σ y, Σ |x|, Σ |y|.
 pub const PROBE: usize = 4;
@@ -71,6 +73,36 @@ impl Layout {
 
     pub fn width(self) -> usize {
         self.shape() + self.rest()
+    }
+}
+
+/// The list of a `tile`, and the place of the first of its slots in a band of tiles that begins with `first_tile`. All units of
+/// the cube must call this together.
+#[cube]
+pub fn list_in_band(offsets: &[u32], tile: u32, first_tile: u32) -> (TileList, u32) {
+    let mut range = Shared::<[u32]>::new_slice(3usize);
+    if UNIT_POS == 0u32 {
+        range[0] = offsets[tile as usize];
+        range[1] = offsets[(tile + 1u32) as usize];
+        range[2] = offsets[first_tile as usize];
+    }
+    let start = workgroup_uniform_load(&range[0]);
+    let length = workgroup_uniform_load(&range[1]) - start;
+    let slot = start - workgroup_uniform_load(&range[2]);
+    (TileList { start, length }, slot)
+}
+
+/// Makes the first of the `ends` [[`UNITS`]] of the pixels of a tile the largest. All units of the cube must call this together.
+#[cube]
+pub fn find_furthest(ends: &mut [u32]) {
+    let unit = UNIT_POS as usize;
+    #[unroll]
+    for halving in 0..HALVINGS {
+        let step = comptime!((UNITS >> (halving + 1)) as usize);
+        sync_cube();
+        if unit < step {
+            ends[unit] = max(ends[unit], ends[unit + step]);
+        }
     }
 }
 
@@ -198,20 +230,18 @@ fn add_pixel(
     }
 }
 
-/// Sums over the pixels of a tile for the last [`ENTRIES`] before place `top` of its list, which begins at `start` and has
+/// Sums over the pixels of a tile for the last [`ENTRIES`] before place `top` of its `list`, which has
 /// its sums from `slot` on, or for as many as there are. `partial` has what each pixel says about them, [[`ENTRIES`],
 /// [`NUMBERS`], [`UNITS`]]. All units of the cube must call this together.
 #[cube]
 pub fn fold_entries(
     partial: &mut [f32],
-    folded: &mut [f32],
-    own: &mut Array<f32>,
     sums: &mut [f32],
     shapes: &[f32],
     features: &[f32],
     ids: &[u32],
     grad: &[f32],
-    start: u32,
+    list: TileList,
     top: u32,
     slot: u32,
     tile: u32,
@@ -224,12 +254,10 @@ pub fn fold_entries(
     let entries = min(top, ENTRIES);
     // some units sum over the pixels of each entry
     let (entry, member) = (UNIT_POS / SHARE, UNIT_POS % SHARE);
-    #[unroll]
-    for s in 0..width {
-        own[s] = 0.0f32;
-    }
+    let mut folded = Shared::<[f32]>::new_slice(comptime!(UNITS as usize / FOLD * GROUP));
+    let mut own = zeros(width);
     if entry < entries {
-        let i = ids[(start + top - 1u32 - entry) as usize] as usize;
+        let i = list.entry(ids, top - 1u32 - entry) as usize;
         for step in 0..ENTRIES {
             let other = step * SHARE + member;
             let at = entry as usize * NUMBERS * UNITS as usize + other as usize;
@@ -242,7 +270,7 @@ pub fn fold_entries(
                     by_plane = 1.0f32;
                 }
                 let seen = Seen { power: partial[at], covered, grad_depth: partial[at + 2 * UNITS as usize], by_plane };
-                add_pixel(own, shapes, features, i, grad, pixel_of(view, tile, other), seen, view, layout);
+                add_pixel(&mut own, shapes, features, i, grad, pixel_of(view, tile, other), seen, view, layout);
             }
         }
     }

@@ -229,6 +229,23 @@ pub fn on_student(splat: Splat, tail: Tail, x: f32, y: f32) -> Fragment {
     Fragment { weight: select(splat.strength != 0.0f32, weight, 0.0f32), depth: splat.depth, by_plane: 1.0f32 }
 }
 
+/// A disc at the point (`x`, `y`) px.
+#[cube]
+fn on_disc(plane: Plane, low_pass: LowPass, x: f32, y: f32, near: f32) -> Fragment {
+    let found = plane.hit(x, y);
+    let dx = x - plane.anchor_x - low_pass.offset_x;
+    let dy = y - plane.anchor_y - low_pass.offset_y;
+    let on_disc = found.u * found.u + found.v * found.v;
+    let on_screen = 2.0f32 * (dx * dx + dy * dy);
+    let alpha = low_pass.opacity * f32::exp(max(-0.5f32 * min(on_disc, on_screen), -100.0f32));
+    let drawn = f32::abs(found.facing) > MIN_FACING && found.depth > near && alpha >= CUTOFF_F32;
+    Fragment {
+        weight: select(drawn, alpha, 0.0f32),
+        depth: select(drawn, found.depth, 1.0f32),
+        by_plane: select(drawn && on_disc > on_screen, 0.0f32, 1.0f32),
+    }
+}
+
 /// The primitive at a `position` of a list, an ellipsoid or a student with the footprint `splat`, at the point (`x`, `y`) px.
 #[cube]
 pub fn on_projected(
@@ -260,37 +277,17 @@ pub fn fragment(
     view: CameraUniforms,
     #[comptime] form: Form,
 ) -> Fragment {
-    let mut weight = 0.0f32;
-    let mut depth = 1.0f32;
-    let mut by_plane = 1.0f32;
-    if comptime!(form == Form::Ellipsoids) {
-        let found = on_ellipse(Splat::load(shapes, i * SPLAT), x, y);
-        weight = found.weight;
-        depth = found.depth;
-    } else if comptime!(form == Form::Whitened) {
-        let (alpha, at) = Whitened::load(shapes, i * WHITENED).fragment(view, x, y);
-        weight = alpha;
-        depth = at;
-    } else if comptime!(form == Form::Students) {
-        let found = on_student(Splat::load(shapes, i * SPLAT), Tail::load(features, i * FEATURES + TAIL), x, y);
-        weight = found.weight;
-        depth = found.depth;
-    } else {
-        let plane = Plane::load(shapes, i * PLANE);
-        let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
-        let found = plane.hit(x, y);
-        let dx = x - plane.anchor_x - low_pass.offset_x;
-        let dy = y - plane.anchor_y - low_pass.offset_y;
-        let on_disc = found.u * found.u + found.v * found.v;
-        let on_screen = 2.0f32 * (dx * dx + dy * dy);
-        let alpha = low_pass.opacity * f32::exp(max(-0.5f32 * min(on_disc, on_screen), -100.0f32));
-        if f32::abs(found.facing) > MIN_FACING && found.depth > view.near && alpha >= CUTOFF_F32 {
-            weight = alpha;
-            depth = found.depth;
-            by_plane = select(on_disc <= on_screen, 1.0f32, 0.0f32);
+    match form {
+        Form::Ellipsoids => on_ellipse(Splat::load(shapes, i * SPLAT), x, y),
+        Form::Students => on_student(Splat::load(shapes, i * SPLAT), Tail::load(features, i * FEATURES + TAIL), x, y),
+        Form::Discs => {
+            on_disc(Plane::load(shapes, i * PLANE), LowPass::load(features, i * FEATURES + LOW_PASS), x, y, view.near)
+        }
+        Form::Whitened => {
+            let (weight, depth) = Whitened::load(shapes, i * WHITENED).fragment(view, x, y);
+            Fragment { weight, depth, by_plane: 1.0f32 }
         }
     }
-    Fragment { weight, depth, by_plane }
 }
 
 /// The values that do not depend on the pixel; rows are primitives, nearest first.

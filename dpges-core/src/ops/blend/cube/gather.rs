@@ -13,28 +13,25 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::back::{Spread, go_back, pixel_grad};
-use super::fold::{ENTRIES, FOLD, GROUP, Layout, NUMBERS, fold_entries};
-use super::fragments::{FEATURES, Fragments, Payload, fragment, on_projected};
+use super::back::{go_back, pixel_grad, spread_of};
+use super::fold::{ENTRIES, GROUP, Layout, NUMBERS, find_furthest, fold_entries, list_in_band};
+use super::fragments::{FEATURES, Fragments, Payload, fragment};
 use super::hybrid;
 use super::rays::{Said, replay, said_at, said_numbers};
-use super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, STATE, THROUGH, TOTAL, Thresholds, add_fragment};
+use super::{STATE, THROUGH, Thresholds, blend_met, blend_projected};
 use crate::camera::Camera;
 use crate::counters::transfers::{download, wait};
 use crate::error::Error;
-use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
-use crate::footprint::gaussian::cube::{SPLAT, Splat};
 use crate::gpu::gather::{lane, primitive, total, zeros};
 use crate::gpu::launch::{
-    GATHERED, HALVINGS, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, gatherers, largest_buffer, units,
+    GATHERED, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, gatherers, largest_buffer, units,
 };
 use crate::gpu::record::Record;
-use crate::gpu::tile::{REGIONS, own_pixel};
+use crate::gpu::tile::own_pixel;
 use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::{BlendLists, BlendOptions};
 use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TileGrid;
-use crate::tiles::binning::cube::TileList;
 use crate::tiles::capacity::exceed;
 
 #[cube(launch)]
@@ -59,21 +56,9 @@ fn gather_kernel(
     let width = comptime!(layout.width());
     let unit = UNIT_POS as usize;
 
-    // the list of the tile, and the place of the first slot
-    let mut range = Shared::<[u32]>::new_slice(3usize);
-    if UNIT_POS == 0u32 {
-        range[0] = offsets[tile as usize];
-        range[1] = offsets[(tile + 1u32) as usize];
-        range[2] = offsets[first_tile as usize];
-    }
-    let start = workgroup_uniform_load(&range[0]);
-    let length = workgroup_uniform_load(&range[1]) - start;
-    let slot = start - workgroup_uniform_load(&range[2]);
-
+    let (list, slot) = list_in_band(offsets, tile, first_tile);
     let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * GROUP));
-    let mut folded = Shared::<[f32]>::new_slice(comptime!(UNITS as usize / FOLD * GROUP));
     let mut ends = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
-    let mut own = Array::<f32>::new(width);
 
     let place = own_pixel(view, tile);
     let (x, y, pixel) = (place.x, place.y, place.at);
@@ -81,66 +66,31 @@ fn gather_kernel(
     // front to back: T behind the last fragment, where the pixel ends, what distortion needs
     let mut state = zeros(STATE);
     state[THROUGH] = 1.0f32;
-    let mut end = select(place.inside, length, 0u32);
-    if comptime!(form.is_projected()) {
-        let list = TileList { start, length };
-        let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
-        let mut depths = Shared::<[f32]>::new_slice(REGIONS);
-        if unit < REGIONS {
-            depths[unit] = view.infinity;
-        }
-        let mut open = place.inside;
-        let batches = list.batches();
-        for batch in 0..batches {
-            let entries = list.stage(ids, batch, shapes, shapes, &mut partial, (SPLAT, 0));
-            mark_regions(&partial, entries, &depths, &mut ends, tile, view, SPLAT);
-            list_regions(&ends, &mut visits);
-            for word in 0..WORDS {
-                let mut bits = visits[(UNIT_POS / LANES) as usize * WORDS + word];
-                while bits != 0u32 && open {
-                    let entry = word as u32 * 32u32 + bits.trailing_zeros();
-                    bits &= bits - 1u32;
-                    let position = batch * UNITS + entry;
-                    let splat = Splat::load(&partial, entry as usize * SPLAT);
-                    let found = on_projected(splat, features, list, ids, position, x, y, form);
-                    if found.weight != 0.0f32 {
-                        let i = list.entry(ids, position) as usize;
-                        open = add_fragment(&mut state, found, features, i, thresholds, layout.maps);
-                        end = select(open, end, position);
-                    }
-                }
-            }
-        }
+    let end = if comptime!(form.is_projected()) {
+        let end = blend_projected(
+            &mut state,
+            &mut partial,
+            &mut ends,
+            shapes,
+            features,
+            list,
+            ids,
+            tile,
+            view,
+            thresholds,
+            form,
+            layout.maps,
+        );
         sync_cube();
+        end
     } else {
-        let mut position = 0u32;
-        while position < end {
-            let i = ids[(start + position) as usize] as usize;
-            let found = fragment(shapes, features, i, x, y, view, form);
-            if found.weight > 0.0f32 {
-                let goes_on = add_fragment(&mut state, found, features, i, thresholds, layout.maps);
-                end = select(goes_on, end, position + thresholds.ends_behind);
-            }
-            position += 1u32;
-        }
-    }
-    let mut through = state[THROUGH];
-    let spread = Spread {
-        reference: state[REFERENCE],
-        total: state[TOTAL],
-        first_moment: state[FIRST_MOMENT],
-        second_moment: state[SECOND_MOMENT],
+        blend_met(&mut state, shapes, features, list, ids, tile, view, thresholds, form, layout.maps)
     };
+    let mut through = state[THROUGH];
+    let spread = spread_of(&state);
 
     ends[unit] = end;
-    #[unroll]
-    for halving in 0..HALVINGS {
-        let step = comptime!((UNITS >> (halving + 1)) as usize);
-        sync_cube();
-        if unit < step {
-            ends[unit] = max(ends[unit], ends[unit + step]);
-        }
-    }
+    find_furthest(&mut ends);
     let furthest = workgroup_uniform_load(&ends[0]);
 
     // back to front; derivative with respect to T behind the fragment that is next
@@ -159,7 +109,7 @@ fn gather_kernel(
             // beyond the first entry of the list this is large
             let position = top - 1u32 - entry;
             if entry < entries && position < end {
-                let i = ids[(start + position) as usize] as usize;
+                let i = list.entry(ids, position) as usize;
                 let found = fragment(shapes, features, i, x, y, view, form);
                 if found.weight != 0.0f32 {
                     let payload = Payload::load(features, i * FEATURES);
@@ -180,26 +130,11 @@ fn gather_kernel(
         }
         sync_cube();
 
-        fold_entries(
-            &mut partial,
-            &mut folded,
-            &mut own,
-            sums,
-            shapes,
-            features,
-            ids,
-            grad,
-            start,
-            top,
-            slot,
-            tile,
-            view,
-            layout,
-        );
+        fold_entries(&mut partial, sums, shapes, features, ids, grad, list, top, slot, tile, view, layout);
     }
     // entries behind the ends of all pixels
     let mut at = furthest as usize * width + unit;
-    while at < length as usize * width {
+    while at < list.length as usize * width {
         sums[slot as usize * width + at] = 0.0f32;
         at += UNITS as usize;
     }
@@ -228,20 +163,13 @@ fn gather_said_kernel(
     let width = comptime!(layout.width());
     let numbers = comptime!(said_numbers(layout.maps));
     let unit = UNIT_POS as usize;
-    let mut range = Shared::<[u32]>::new_slice(4usize);
+    let (list, slot) = list_in_band(offsets, tile, first_tile);
+    let mut last = Shared::<[u32]>::new_slice(1usize);
     if UNIT_POS == 0u32 {
-        range[0] = offsets[tile as usize];
-        range[1] = offsets[(tile + 1u32) as usize];
-        range[2] = offsets[first_tile as usize];
-        range[3] = said_ends[tile as usize];
+        last[0] = said_ends[tile as usize];
     }
-    let start = workgroup_uniform_load(&range[0]);
-    let length = workgroup_uniform_load(&range[1]) - start;
-    let slot = start - workgroup_uniform_load(&range[2]);
-    let furthest = workgroup_uniform_load(&range[3]);
+    let furthest = workgroup_uniform_load(&last[0]);
     let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * GROUP));
-    let mut folded = Shared::<[f32]>::new_slice(comptime!(UNITS as usize / FOLD * GROUP));
-    let mut own = Array::<f32>::new(width);
     let rounds = furthest.div_ceil(ENTRIES);
     for round in 0..rounds {
         let top = furthest - round * ENTRIES;
@@ -258,25 +186,10 @@ fn gather_said_kernel(
         }
         sync_cube();
         // ellipsoids have no features that sums need
-        fold_entries(
-            &mut partial,
-            &mut folded,
-            &mut own,
-            sums,
-            shapes,
-            shapes,
-            ids,
-            grad,
-            start,
-            top,
-            slot,
-            tile,
-            view,
-            layout,
-        );
+        fold_entries(&mut partial, sums, shapes, shapes, ids, grad, list, top, slot, tile, view, layout);
     }
     let mut at = furthest as usize * width + unit;
-    while at < length as usize * width {
+    while at < list.length as usize * width {
         sums[slot as usize * width + at] = 0.0f32;
         at += UNITS as usize;
     }

@@ -8,7 +8,7 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::Thresholds;
-use super::fold::{ENTRIES, FOLD, GROUP, Layout, NUMBERS, fold_entries};
+use super::fold::{ENTRIES, GROUP, Layout, NUMBERS, fold_entries, list_in_band};
 use super::fragments::{FEATURES, Fragments, Payload};
 use super::order::NO_KEY;
 use crate::camera::Camera;
@@ -349,22 +349,11 @@ fn gather_kernel(
     }
     let maps = comptime!(layout.maps);
     let unit = UNIT_POS as usize;
-    let mut range = Shared::<[u32]>::new_slice(3usize);
-    if UNIT_POS == 0u32 {
-        range[0] = offsets[tile as usize];
-        range[1] = offsets[(tile + 1u32) as usize];
-        range[2] = offsets[first_tile as usize];
-    }
-    let start = workgroup_uniform_load(&range[0]);
-    let length = workgroup_uniform_load(&range[1]) - start;
-    let slot = start - workgroup_uniform_load(&range[2]);
+    let (list, slot) = list_in_band(offsets, tile, first_tile);
     let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * GROUP));
-    let mut folded = Shared::<[f32]>::new_slice(comptime!(UNITS as usize / FOLD * GROUP));
-    let mut own = Array::<f32>::new(comptime!(layout.width()));
 
     let place = own_pixel(view, tile);
     let (x, y, pixel, plane) = (place.x, place.y, place.at, plane_of(view));
-    let list = TileList { start, length };
     let mut tail = zeros(TAIL);
     let mut sums = zeros(WEIGHTS);
     let mut core =
@@ -425,9 +414,9 @@ fn gather_kernel(
         core.depths[k] = of_depth;
     }
 
-    let rounds = length.div_ceil(ENTRIES);
+    let rounds = list.length.div_ceil(ENTRIES);
     for round in 0..rounds {
-        let top = length - round * ENTRIES;
+        let top = list.length - round * ENTRIES;
         let entries = min(top, ENTRIES);
         for entry in 0..ENTRIES {
             let mut power = 0.0f32;
@@ -468,22 +457,7 @@ fn gather_kernel(
             partial[at + 2 * UNITS as usize] = grad_depth;
         }
         sync_cube();
-        fold_entries(
-            &mut partial,
-            &mut folded,
-            &mut own,
-            slots,
-            shapes,
-            features,
-            ids,
-            grad,
-            start,
-            top,
-            slot,
-            tile,
-            view,
-            layout,
-        );
+        fold_entries(&mut partial, slots, shapes, features, ids, grad, list, top, slot, tile, view, layout);
     }
 }
 

@@ -13,6 +13,7 @@ use crate::footprint::gaussian::cube::whitened as whitened_cube;
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::footprint::surfel::cube as disc_cube;
 use crate::footprint::surfel::cube::bounded_scale;
+use crate::gpu::gather::zeros;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, units};
 use crate::gpu::record::Record;
 use crate::gpu::vector::{
@@ -93,31 +94,20 @@ fn rest_kernel(
     let quaternion = row4(quaternions, i);
     let log_scales = row3(log_scales, i);
     let axes = camera_axes(view, rotation(quaternion));
-    // gradients with respect to the axes in camera space, by numbers
-    let mut u_x = 0.0f32;
-    let mut u_y = 0.0f32;
-    let mut u_z = 0.0f32;
-    let mut v_x = 0.0f32;
-    let mut v_y = 0.0f32;
-    let mut v_z = 0.0f32;
-    let mut n_x = 0.0f32;
-    let mut n_y = 0.0f32;
-    let mut n_z = 0.0f32;
+    // gradients with respect to the axes in camera space
+    let mut of_axes = zeros(9usize);
     if comptime!(layout.maps) {
         let at = o + normal;
         let sign = facing_sign(own_normal(axes, log_scales, form), centre);
         let towards = scale(Vec3::load(rest, at), sign);
-        let axis = normal_axis(log_scales, form);
-        let (first, second) = (axis == 0u32, axis == 1u32);
-        u_x = select(first, towards.x, 0.0f32);
-        u_y = select(first, towards.y, 0.0f32);
-        u_z = select(first, towards.z, 0.0f32);
-        v_x = select(second, towards.x, 0.0f32);
-        v_y = select(second, towards.y, 0.0f32);
-        v_z = select(second, towards.z, 0.0f32);
-        n_x = select(first || second, 0.0f32, towards.x);
-        n_y = select(first || second, 0.0f32, towards.y);
-        n_z = select(first || second, 0.0f32, towards.z);
+        let own = normal_axis(log_scales, form);
+        #[unroll]
+        for axis in 0..3usize {
+            let is_normal = own == axis as u32;
+            of_axes[3 * axis] = select(is_normal, towards.x, 0.0f32);
+            of_axes[3 * axis + 1] = select(is_normal, towards.y, 0.0f32);
+            of_axes[3 * axis + 2] = select(is_normal, towards.z, 0.0f32);
+        }
     }
     if comptime!(form != Form::Discs) {
         let moved = scale(depth_slope(view, centre), rest[beside]);
@@ -153,18 +143,18 @@ fn rest_kernel(
             add3(grad_positions, i, moved);
             grad_log_scales[3 * i] += dot(of_a, a);
             grad_log_scales[3 * i + 1] += dot(of_b, b);
-            u_x += scale_u * of_a.x;
-            u_y += scale_u * of_a.y;
-            u_z += scale_u * of_a.z;
-            v_x += scale_v * of_b.x;
-            v_y += scale_v * of_b.y;
-            v_z += scale_v * of_b.z;
+            of_axes[0] += scale_u * of_a.x;
+            of_axes[1] += scale_u * of_a.y;
+            of_axes[2] += scale_u * of_a.z;
+            of_axes[3] += scale_v * of_b.x;
+            of_axes[4] += scale_v * of_b.y;
+            of_axes[5] += scale_v * of_b.z;
         }
     }
     let columns = Mat3 {
-        row0: apply(back, vec3(u_x, u_y, u_z)),
-        row1: apply(back, vec3(v_x, v_y, v_z)),
-        row2: apply(back, vec3(n_x, n_y, n_z)),
+        row0: apply(back, vec3(of_axes[0], of_axes[1], of_axes[2])),
+        row1: apply(back, vec3(of_axes[3], of_axes[4], of_axes[5])),
+        row2: apply(back, vec3(of_axes[6], of_axes[7], of_axes[8])),
     };
     let turned = rotation_backward(quaternion, transpose(columns));
     grad_quaternions[4 * i] += turned.w;

@@ -7,20 +7,20 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::super::back::{Spread, go_back, pixel_grad};
+use super::super::back::{go_back, pixel_grad, spread_of};
+use super::super::fold::{find_furthest, list_in_band};
 use super::super::fragments::{FEATURES, Fragments, Payload, on_ellipse};
-use super::super::{FIRST_MOMENT, REFERENCE, SECOND_MOMENT, THROUGH, TOTAL, Thresholds};
+use super::super::{THROUGH, Thresholds};
 use super::walk::{END, LAST, PIXEL_STATE, said_at, said_numbers, walk_rays};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::Splat;
 use crate::footprint::gaussian::cube::along_ray::ROW;
 use crate::gpu::gather::zeros;
-use crate::gpu::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, largest_buffer};
+use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, largest_buffer};
 use crate::gpu::record::Record;
 use crate::gpu::tile::own_pixel;
 use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::{BlendLists, BlendOptions};
-use crate::tiles::binning::cube::TileList;
 
 /// Largest buffer for what the pixels of some tiles say, bytes.
 const LARGEST: usize = 256 << 20;
@@ -70,49 +70,28 @@ fn replay_kernel(
     if tile >= end_tile {
         terminate!();
     }
-    let mut range = Shared::<[u32]>::new_slice(3usize);
-    if UNIT_POS == 0u32 {
-        range[0] = offsets[tile as usize];
-        range[1] = offsets[(tile + 1u32) as usize];
-        range[2] = offsets[first_tile as usize];
-    }
-    let start = workgroup_uniform_load(&range[0]);
-    let length = workgroup_uniform_load(&range[1]) - start;
-    let slot = start - workgroup_uniform_load(&range[2]);
+    let (list, slot) = list_in_band(offsets, tile, first_tile);
     let numbers = comptime!(said_numbers(maps));
-    for position in 0..length {
+    for position in 0..list.length {
         #[unroll]
         for number in 0..numbers {
             said[said_at(slot + position, numbers) + comptime!(number * UNITS as usize)] = 0.0f32;
         }
     }
     let mut state = zeros(PIXEL_STATE);
-    let list = TileList { start, length };
     walk_rays(&mut state, table, features, list, ids, said, slot, tile, view, thresholds, maps, true);
 
     let unit = UNIT_POS as usize;
     let mut ends = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
     ends[unit] = u32::cast_from(state[END]);
-    #[unroll]
-    for halving in 0..HALVINGS {
-        let step = comptime!((UNITS >> (halving + 1)) as usize);
-        sync_cube();
-        if unit < step {
-            ends[unit] = max(ends[unit], ends[unit + step]);
-        }
-    }
+    find_furthest(&mut ends);
     if unit == 0 {
         said_ends[tile as usize] = ends[0];
     }
 
     let own = own_pixel(view, tile);
     let of = pixel_grad(grad, own.at, view, maps);
-    let spread = Spread {
-        reference: state[REFERENCE],
-        total: state[TOTAL],
-        first_moment: state[FIRST_MOMENT],
-        second_moment: state[SECOND_MOMENT],
-    };
+    let spread = spread_of(&state);
     let mut through = state[THROUGH];
     let mut behind = -of.alpha;
     let mut last = state[LAST];
