@@ -72,22 +72,24 @@ pub fn fitted_disparity(relative: Tensor<3>, depth: Tensor<3>, coverage: Tensor<
 
 #[cfg(test)]
 mod tests {
+    use std::cell::OnceCell;
+
     use burn::tensor::DType;
-    use glam::{DMat3, DVec3};
 
     use super::*;
-    use crate::camera::{Camera, CameraFromWorld};
+    use crate::camera::Camera;
+    use crate::ops::fixtures::{SURFEL_NAMES, SURFEL_WIDTHS, axis_camera, check_rows, constant, surfel_rows};
     use crate::ops::peel::PeelOptions;
     use crate::render::{RenderOptions, render};
     use crate::scene::{ColourModel, Footprint, Surfels};
     use crate::testing::device;
     use crate::testing::golden::values;
-    use crate::testing::gradients::{check, leaf};
+    use crate::testing::gradients::leaf;
     use crate::testing::random::Random;
     use crate::testing::scenes::{self, Recipe, TestScene};
 
     fn row(values: &[f64]) -> Tensor<3> {
-        leaf(values, [1, 1, values.len()], &device()).detach()
+        constant(values, [1, 1, values.len()])
     }
 
     fn assert_close(found: &Tensor<3>, expected: &[f64], tolerance: f64) {
@@ -145,52 +147,33 @@ mod tests {
         let shape = [1, camera.height, camera.width];
         let mut disparities = Random::new(8).numbers(camera.width * camera.height, 0.2, 1.0);
         disparities.iter_mut().step_by(5).for_each(|disparity| *disparity = 0.0);
-        let disparity = leaf(&disparities, shape, &device()).detach();
+        let disparity = constant(&disparities, shape);
         let peel = PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity, backstop: false };
         let options = RenderOptions { peel, ..RenderOptions::default() };
-        let rendered = |[positions, quaternions, log_scales]: [Tensor<2>; 3]| {
+        let fixed = OnceCell::new();
+        let loss = |[positions, quaternions, log_scales]: &[Tensor<2>; 3]| {
             let (others, gaussians) = scene.tensors(&device(), DType::F64);
+            let [positions, quaternions, log_scales] = [positions, quaternions, log_scales].map(Tensor::clone);
             let surfels = Surfels { positions, quaternions, log_scales, ..others };
-            surfel_depth(&render(&surfels, &gaussians, camera, &options).unwrap())
+            let [depth, coverage] = surfel_depth(&render(&surfels, &gaussians, camera, &options).unwrap());
+            // coverage carries no gradient: it stays what it is at first
+            let coverage = match fixed.set(coverage.clone().detach()) {
+                Ok(()) => coverage,
+                Err(_) => fixed.get().cloned().unwrap(),
+            };
+            depth_map(depth, coverage, disparity.clone()).unwrap()
         };
-        let wide = |rows: &[f32]| rows.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
-        let rows = [wide(&scene.surfels.positions), wide(&scene.surfels.quaternions), wide(&scene.surfels.log_scales)];
-        let leaves = |rows: &[Vec<f64>; 3]| {
-            [(0, 3), (1, 4), (2, 2)].map(|(i, width)| leaf(&rows[i], [rows[i].len() / width, width], &device()))
-        };
-        let parameters = leaves(&rows);
-        let [depth, coverage] = rendered(parameters.clone());
-        let gradients = depth_map(depth, coverage.clone(), disparity.clone()).unwrap().backward();
-        // coverage carries no gradient: it stays what it is
-        let fixed = coverage.detach();
-        for (i, name) in ["positions", "quaternions", "log_scales"].into_iter().enumerate() {
-            let found = values(&parameters[i].grad(&gradients).unwrap());
-            assert!(found.iter().any(|g| g.abs() > 1e-4), "no surfel is seen");
-            check(name, &rows[i], &found, 1e-6, |moved| {
-                let mut rows = rows.clone();
-                rows[i] = moved.to_vec();
-                let [depth, _] = rendered(leaves(&rows));
-                values(&depth_map(depth, fixed.clone(), disparity.clone()).unwrap())[0]
-            });
-        }
+        let rows = surfel_rows(&scene.surfels);
+        let gradients = check_rows("the depth map", SURFEL_NAMES, &rows, SURFEL_WIDTHS, 1e-6, loss);
+        assert!(gradients.iter().all(|of| of.iter().any(|g| g.abs() > 1e-4)), "no surfel is seen");
     }
 
     #[test]
     fn surfels_that_were_moved_along_their_rays_find_back() {
         const SIDE: usize = 6;
         const PLANE: f64 = 2.0;
-        let camera_from_world = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-        let camera = Camera {
-            camera_from_world,
-            fx: 40.0,
-            fy: 40.0,
-            cx: 12.0,
-            cy: 12.0,
-            width: 24,
-            height: 24,
-            near: 0.01,
-            lens: None,
-        };
+        let (fx, fy, cx, cy, width, height) = (40.0, 40.0, 12.0, 12.0, 24, 24);
+        let camera = Camera { fx, fy, cx, cy, width, height, near: 0.01, ..axis_camera() };
         let mut random = Random::new(5);
         // beside one another, so that none hides another
         let mut positions = Vec::new();

@@ -6,15 +6,14 @@
 #[cfg(test)]
 mod tests;
 
+use burn::tensor::Tensor;
 use burn::tensor::ops::PadMode;
-use burn::tensor::{Tensor, TensorData};
 
 use super::{Mask, mean_of_counted};
 use crate::camera::Camera;
-use crate::counters::transfers::upload;
 use crate::error::Result;
 use crate::footprint::rays::rays;
-use crate::ops::composite;
+use crate::ops::composite::{self, uploaded};
 use crate::render::Render;
 use crate::scene::Surfels;
 use crate::scene::tensors::check_shape;
@@ -61,9 +60,8 @@ impl Supervision {
 /// the image and where both neighbours in a row or both in a column have no depth.
 pub fn normals_from_depth(depth: Tensor<3>, camera: &Camera) -> Tensor<3> {
     let [_, height, width] = depth.dims();
-    let (device, dtype) = (depth.device(), depth.dtype());
     if height < 3 || width < 3 {
-        return Tensor::zeros([3, height, width], (&device, dtype));
+        return Tensor::zeros([3, height, width], (&depth.device(), depth.dtype()));
     }
     if let Some(rays) = rays(camera) {
         return normals_along_rays(depth, &rays);
@@ -77,7 +75,7 @@ pub fn normals_from_depth(depth: Tensor<3>, camera: &Camera) -> Tensor<3> {
     let slopes_of = |focal_px: f64, principal_px: f64, shape: [usize; 3]| {
         let count = shape.into_iter().product::<usize>();
         let slopes: Vec<f64> = (0..count).map(|i| (i as f64 + 1.5 - principal_px) / focal_px).collect();
-        Tensor::<3>::from_data(upload(TensorData::new(slopes, shape).convert_dtype(dtype)), (&device, dtype))
+        uploaded(slopes, shape, &depth)
     };
     // With points as depth · ray (x, y, 1) and rays linear in the pixel, the cross product over both sums of depths is
     // (across, down, −(across x + down y + 1)). Its component along the ray is −1, so it never vanishes.
@@ -94,10 +92,8 @@ pub fn normals_from_depth(depth: Tensor<3>, camera: &Camera) -> Tensor<3> {
 /// [`normals_from_depth`] through a lens, from the rays [H × W] of the pixels.
 fn normals_along_rays(depth: Tensor<3>, rays: &[[f64; 3]]) -> Tensor<3> {
     let [_, height, width] = depth.dims();
-    let (device, dtype) = (depth.device(), depth.dtype());
     let planes: Vec<f64> = (0..3).flat_map(|axis| rays.iter().map(move |ray| ray[axis])).collect();
-    let planes = TensorData::new(planes, [3, height, width]).convert_dtype(dtype);
-    let points = Tensor::<3>::from_data(upload(planes), (&device, dtype)) * depth.clone();
+    let points = uploaded(planes, [3, height, width], &depth) * depth.clone();
     let between = |image: &Tensor<3>, [y0, x0]: [usize; 2], [y1, x1]: [usize; 2], sign: f64| {
         let channels = image.dims()[0];
         let from = |y: usize, x: usize| image.clone().slice([0..channels, y..y + height - 2, x..x + width - 2]);
@@ -141,10 +137,8 @@ pub fn normal_consistency(
 
 /// `normal` [3, H, W] of world axes in camera axes.
 pub fn in_camera_axes(normal: Tensor<3>, camera: &Camera) -> Tensor<3> {
-    let (shape, device, dtype) = (normal.dims(), normal.device(), normal.dtype());
-    let columns = camera.camera_from_world.rotation.to_cols_array().to_vec();
-    let columns = TensorData::new(columns, [3, 3, 1, 1]).convert_dtype(dtype);
-    let columns = Tensor::<4>::from_data(upload(columns), (&device, dtype));
+    let shape = normal.dims();
+    let columns = uploaded(camera.camera_from_world.rotation.to_cols_array().to_vec(), [3, 3, 1, 1], &normal);
     (columns * normal.unsqueeze_dim::<4>(1)).sum_dim(0).reshape(shape)
 }
 

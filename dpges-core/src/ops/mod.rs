@@ -12,7 +12,7 @@
 //! | `mod.rs` | the contract (shapes, units, source, which gradients exist) and the public function |
 //! | `cpu.rs` | kernels of the CPU backends |
 //! | `cube.rs` | their CubeCL twins for GPUs |
-//! | `autodiff.rs` | the operation on Burn's tape |
+//! | `autodiff.rs` | the operation on Burn's tape, and what it keeps for the way back, which the kernels implement |
 //! | `tests.rs` | what only this operation needs |
 //!
 //! A file that grew too long has a folder of its name beside it. To add an operation, copy the shape of
@@ -34,6 +34,8 @@ pub mod composite;
 pub mod coverage;
 pub mod environment;
 pub mod finite;
+#[cfg(test)]
+pub(crate) mod fixtures;
 pub mod harmonics;
 pub mod interval_limits;
 pub mod jitter;

@@ -1,38 +1,26 @@
 use burn::tensor::{DType, Tensor};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 
 use super::{
     GeometryWeights, Supervision, expected_depth, geometry, in_camera_axes, normal_consistency, normals_from_depth,
 };
 use crate::camera::{Camera, CameraFromWorld, Lens};
+use crate::ops::fixtures::{
+    self, SURFEL_NAMES, SURFEL_WIDTHS, assert_near, check_rows, constant, surfel_rows, weights,
+};
 use crate::ops::peel::PeelOptions;
 use crate::render::{RenderOptions, render};
 use crate::scene::{ColourModel, Footprint, Surfels};
 use crate::testing::device;
 use crate::testing::golden::values;
-use crate::testing::gradients::{check, check_elements, leaf};
+use crate::testing::gradients::{check_elements, leaf};
 use crate::testing::lenses::every_model;
 use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe, TestScene};
 
-fn constant<const D: usize>(values: &[f64], shape: [usize; D]) -> Tensor<D> {
-    leaf(values, shape, &device()).detach()
-}
-
 /// In the world's axes; the principal point is far from the centre of the image.
 fn axis_camera() -> Camera {
-    let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-    Camera {
-        camera_from_world: pose,
-        fx: 40.0,
-        fy: 55.0,
-        cx: 3.2,
-        cy: 9.1,
-        width: 13,
-        height: 11,
-        near: 0.1,
-        lens: None,
-    }
+    Camera { fx: 40.0, fy: 55.0, cx: 3.2, cy: 9.1, width: 13, height: 11, near: 0.1, ..fixtures::axis_camera() }
 }
 
 fn pixel_count(camera: &Camera) -> usize {
@@ -65,13 +53,26 @@ fn assert_normals(camera: &Camera, depth: &[f64], tolerance: f64, expected: impl
     }
 }
 
+/// Depths of a plane with a normal.
+fn plane(camera: &Camera, towards: DVec3) -> Vec<f64> {
+    (0..pixel_count(camera)).map(|at| -2.0 / towards.dot(point(camera, at, 1.0))).collect()
+}
+
+/// Compares the gradient of a weighted sum of the normals with respect to depths above 0 with central differences.
+fn check_gradient(name: &str, camera: &Camera, depths: &[f64], seed: u64) {
+    let weights = weights(seed, [3, camera.height, camera.width]);
+    let loss = |depth: Tensor<3>| (normals_from_depth(depth, camera) * weights.clone()).sum();
+    let at = leaf(depths, [1, camera.height, camera.width], &device());
+    let found = values(&at.grad(&loss(at.clone()).backward()).unwrap());
+    let elements: Vec<usize> = (0..depths.len()).filter(|&pixel| depths[pixel] > 0.0).collect();
+    check_elements(name, depths, &found, &elements, 1e-6, |moved| values(&loss(depth_image(camera, moved)))[0]);
+}
+
 #[test]
 fn planes_have_their_normal_towards_the_camera() {
     let camera = axis_camera();
     for towards in [DVec3::NEG_Z, DVec3::new(0.5, -0.3, -1.0).normalize(), DVec3::new(-0.2, 0.6, -0.9).normalize()] {
-        let depth = |at| -2.0 / towards.dot(point(&camera, at, 1.0));
-        let depths: Vec<f64> = (0..pixel_count(&camera)).map(depth).collect();
-        assert_normals(&camera, &depths, 1e-12, |_| towards);
+        assert_normals(&camera, &plane(&camera, towards), 1e-12, |_| towards);
     }
 }
 
@@ -80,24 +81,13 @@ fn planes_have_their_normal_towards_the_camera_through_lenses_too() {
     for (name, lens) in every_model() {
         let camera = Camera { lens: Some(Lens::new(lens)), ..axis_camera() };
         let towards = DVec3::new(0.3, -0.2, -1.0).normalize();
-        let depth = |at| -2.0 / towards.dot(point(&camera, at, 1.0));
-        let mut depths: Vec<f64> = (0..pixel_count(&camera)).map(depth).collect();
+        let mut depths = plane(&camera, towards);
         assert_normals(&camera, &depths, 1e-11, |_| towards);
         // with neighbours at the camera's centre, and with none
         depths[4 * camera.width + 5] = 0.0;
         depths[7 * camera.width + 4] = 0.0;
         depths[7 * camera.width + 6] = 0.0;
-        let weights = Random::new(11).numbers(3 * depths.len(), -1.0, 1.0);
-        let shape = [3, camera.height, camera.width];
-        let loss = |depth: &Tensor<3>| {
-            (normals_from_depth(depth.clone(), &camera) * leaf(&weights, shape, &device()).detach()).sum()
-        };
-        let at = leaf(&depths, [1, camera.height, camera.width], &device());
-        let found = values(&at.grad(&loss(&at).backward()).unwrap());
-        let elements: Vec<usize> = (0..depths.len()).filter(|&pixel| depths[pixel] > 0.0).collect();
-        check_elements(name, &depths, &found, &elements, 1e-6, |moved| {
-            values(&loss(&leaf(moved, [1, camera.height, camera.width], &device())))[0]
-        });
+        check_gradient(name, &camera, &depths, 11);
     }
 }
 
@@ -143,11 +133,7 @@ fn images_without_interior_have_no_normals() {
 fn the_gradient_of_normals_from_depth_is_central_differences() {
     let camera = Camera { width: 7, height: 6, ..axis_camera() };
     let depths = Random::new(5).numbers(pixel_count(&camera), 1.0, 3.0);
-    let weights = constant(&Random::new(6).numbers(3 * pixel_count(&camera), -1.0, 1.0), [3, 6, 7]);
-    let loss = |depth: Tensor<3>| (normals_from_depth(depth, &camera) * weights.clone()).sum();
-    let depth = leaf(&depths, [1, 6, 7], &device());
-    let found = values(&depth.grad(&loss(depth.clone()).backward()).unwrap());
-    check("normals from depth", &depths, &found, 1e-6, |moved| values(&loss(depth_image(&camera, moved)))[0]);
+    check_gradient("normals from depth", &camera, &depths, 6);
 }
 
 #[test]
@@ -169,11 +155,8 @@ fn expected_depth_is_0_without_gradient_where_nothing_is() {
     let depth = expected_depth(sum.clone(), alpha.clone());
     assert_eq!(values(&depth), [4.0, 0.0, 0.5]);
     let gradients = depth.sum().backward();
-    let assert_close = |found: Vec<f64>, expected: [f64; 3]| {
-        found.iter().zip(expected).for_each(|(a, b)| approx::assert_relative_eq!(*a, b, max_relative = 1e-14));
-    };
-    assert_close(values(&sum.grad(&gradients).unwrap()), [1.0 / 0.75, 0.0, 1.0]);
-    assert_close(values(&alpha.grad(&gradients).unwrap()), [-3.0 / 0.5625, 0.0, -0.5]);
+    assert_near(&values(&sum.grad(&gradients).unwrap()), &[1.0 / 0.75, 0.0, 1.0], 1e-14);
+    assert_near(&values(&alpha.grad(&gradients).unwrap()), &[-3.0 / 0.5625, 0.0, -0.5], 1e-14);
 }
 
 #[test]
@@ -186,8 +169,7 @@ fn normal_consistency_is_its_formula_and_alpha_is_detached() {
     approx::assert_relative_eq!(values(&loss)[0], (0.75 + 0.52) / 2.0, max_relative = 1e-14);
     let gradients = loss.backward();
     let assert_close = |found: &Tensor<3>, expected: [f64; 6]| {
-        let found = values(&found.grad(&gradients).unwrap());
-        found.iter().zip(expected).for_each(|(a, b)| approx::assert_relative_eq!(*a, b, epsilon = 1e-14));
+        assert_near(&values(&found.grad(&gradients).unwrap()), &expected, 1e-14);
     };
     assert_close(&normal, [0.0, -0.4, 0.0, 0.0, 0.25, 0.0]);
     assert_close(&depth_normal, [0.0, -0.24, 0.0, -0.08, 0.125, 0.0]);
@@ -201,8 +183,7 @@ fn normals_turn_into_camera_axes() {
     let normals = [DVec3::new(0.36, 0.48, 0.8), DVec3::NEG_Y];
     let planar = |normals: [DVec3; 2]| (0..3).flat_map(|c| normals.map(|n| n[c])).collect::<Vec<f64>>();
     let found = values(&in_camera_axes(constant(&planar(normals), [3, 1, 2]), &camera));
-    let expected = planar(normals.map(|n| pose.rotation * n));
-    found.iter().zip(&expected).for_each(|(a, b)| approx::assert_relative_eq!(*a, *b, epsilon = 1e-14));
+    assert_near(&found, &planar(normals.map(|n| pose.rotation * n)), 1e-14);
 }
 
 fn scene(surfels: usize, gaussians: usize) -> TestScene {
@@ -268,26 +249,14 @@ fn the_gradient_of_the_geometry_terms_is_central_differences() {
     };
     let peel = PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity, backstop: false };
     let options = RenderOptions { peel, ..RenderOptions::default() };
-    let loss = |[positions, quaternions, log_scales]: [Tensor<2>; 3]| {
+    let loss = |[positions, quaternions, log_scales]: &[Tensor<2>; 3]| {
         let (others, gaussians) = scene.tensors(&device(), DType::F64);
+        let [positions, quaternions, log_scales] = [positions, quaternions, log_scales].map(Tensor::clone);
         let surfels = Surfels { positions, quaternions, log_scales, ..others };
         let rendered = render(&surfels, &gaussians, camera, &options).unwrap();
         geometry(&rendered, &surfels, camera, &supervision, &WEIGHTS).unwrap()
     };
-    let wide = |rows: &[f32]| rows.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
-    let rows = [wide(&scene.surfels.positions), wide(&scene.surfels.quaternions), wide(&scene.surfels.log_scales)];
-    let leaves = |rows: &[Vec<f64>; 3]| {
-        [(0, 3), (1, 4), (2, 2)].map(|(i, width)| leaf(&rows[i], [rows[i].len() / width, width], &device()))
-    };
-    let parameters = leaves(&rows);
-    let gradients = loss(parameters.clone()).backward();
-    for (i, name) in ["positions", "quaternions", "log_scales"].into_iter().enumerate() {
-        let found = values(&parameters[i].grad(&gradients).unwrap());
-        assert!(found.iter().any(|g| g.abs() > 1e-3), "no surfel is seen");
-        check(name, &rows[i], &found, 1e-6, |moved| {
-            let mut rows = rows.clone();
-            rows[i] = moved.to_vec();
-            values(&loss(leaves(&rows)))[0]
-        });
-    }
+    let rows = surfel_rows(&scene.surfels);
+    let gradients = check_rows("geometry", SURFEL_NAMES, &rows, SURFEL_WIDTHS, 1e-6, loss);
+    assert!(gradients.iter().all(|of| of.iter().any(|g| g.abs() > 1e-3)), "no surfel is seen");
 }

@@ -1,12 +1,13 @@
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Tensor};
 
 use super::{AdamStep, adam_step};
+use crate::ops::fixtures::{assert_near, of_type};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::random::Random;
 
-fn tensor(values: &[f64], dtype: DType, device: &Device) -> Tensor<1> {
-    Tensor::from_data(TensorData::new(values.to_vec(), [values.len()]).convert_dtype(dtype), (device, dtype))
+fn tensor(values: &[f64], dtype: DType) -> Tensor<1> {
+    of_type(values, [values.len()], &device().inner(), dtype)
 }
 
 fn step(time: u64) -> AdamStep {
@@ -15,14 +16,11 @@ fn step(time: u64) -> AdamStep {
 
 #[test]
 fn two_steps_by_hand() {
-    let device = device().inner();
-    let of = |values: &[f64]| tensor(values, DType::F64, &device);
+    let of = |values: &[f64]| tensor(values, DType::F64);
     let moments = [of(&[0.0, 0.0]), of(&[0.0, 0.0])];
     let (parameter, moments) = adam_step(of(&[1.0, -2.0]), moments, &of(&[3.0, -0.5]), &of(&[1.0]), &step(1)).unwrap();
     // the first step is lr · sign(g) whatever the size of g
-    for (found, expected) in values(&parameter).iter().zip([0.9, -1.9]) {
-        approx::assert_relative_eq!(*found, expected, epsilon = 1e-12);
-    }
+    assert_near(&values(&parameter), &[0.9, -1.9], 1e-12);
     let (parameter, [moment_1, moment_2]) =
         adam_step(parameter, moments, &of(&[1.0, 0.0]), &of(&[1.0]), &step(2)).unwrap();
     // m = 0.9 · 0.3 + 0.1 · 1 = 0.37, v = 0.999 · 0.009 + 0.001 · 1 = 0.009991; m̂ = m / 0.19, v̂ = v / 0.001999
@@ -33,21 +31,18 @@ fn two_steps_by_hand() {
         (&parameter, [0.9 - 0.1 * 1.947_368_421 / 2.235_620_495, -1.9 + 0.1 * 0.236_842_105 / 0.353_464_947]),
     ];
     for (found, expected) in expected {
-        for (found, expected) in values(found).iter().zip(expected) {
-            approx::assert_relative_eq!(*found, expected, epsilon = 1e-9);
-        }
+        assert_near(&values(found), &expected, 1e-9);
     }
 }
 
 #[test]
 fn many_steps_follow_the_formula() {
-    let device = device().inner();
     for (dtype, tolerance) in [(DType::F64, 1e-12), (DType::F32, 1e-5)] {
         let count = 40_000;
         let mut random = Random::new(1);
         let mut p = random.numbers(count, -1.0, 1.0);
         let (mut m, mut v) = (vec![0.0; count], vec![0.0; count]);
-        let of = |values: &[f64]| tensor(values, dtype, &device);
+        let of = |values: &[f64]| tensor(values, dtype);
         let (mut parameter, mut moments) = (of(&p), [of(&m), of(&v)]);
         for time in 1..=5 {
             let grad: Vec<f64> = random.numbers(count, -1.0, 1.0).iter().map(|g| g.powi(5)).collect();
@@ -69,8 +64,7 @@ fn many_steps_follow_the_formula() {
 
 #[test]
 fn a_step_leaves_shared_tensors_alone_and_stands_still_without_a_gradient() {
-    let device = device().inner();
-    let of = |values: &[f64]| tensor(values, DType::F32, &device);
+    let of = |values: &[f64]| tensor(values, DType::F32);
     let (before, zero) = (of(&[1.0, 2.0]), of(&[0.0, 0.0]));
     let (after, _) =
         adam_step(before.clone(), [zero.clone(), zero.clone()], &of(&[1.0, 0.0]), &of(&[1.0]), &step(1)).unwrap();
@@ -82,9 +76,8 @@ fn a_step_leaves_shared_tensors_alone_and_stands_still_without_a_gradient() {
 
 #[test]
 fn a_closed_gate_holds_everything_back() {
-    let device = device().inner();
     for dtype in [DType::F32, DType::F64] {
-        let of = |values: &[f64]| tensor(values, dtype, &device);
+        let of = |values: &[f64]| tensor(values, dtype);
         let moments = [of(&[0.5, 0.25]), of(&[0.125, 1.0])];
         let grad = of(&[f64::NAN, 3.0]);
         let (parameter, [m, v]) = adam_step(of(&[1.0, 2.0]), moments, &grad, &of(&[0.0]), &step(3)).unwrap();

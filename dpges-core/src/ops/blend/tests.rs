@@ -7,20 +7,21 @@ mod rays;
 mod students;
 mod whitened;
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
-use glam::{DMat3, DVec3};
+use burn::tensor::{DType, Device, Tensor};
+use glam::DVec3;
 
 use self::brute_force::{Pixel, Primitive, Shape, centre_of, pixel};
 use super::{ALPHA_PLANE, Blend, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, blend};
-use crate::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
+use crate::camera::{Camera, Distortion, Lens, Projection};
 use crate::footprint::gaussian::cpu::Parameters;
-use crate::scene::{BlendOrder, Colour, ColourModel, Gaussians, ScreenFilter, Transparency};
+use crate::ops::fixtures::{Flat, assert_near, axis_camera, gradient_of, of_type, replaced};
+use crate::scene::{BlendOrder, Gaussians, ScreenFilter, Transparency};
 use crate::testing::compare::relative_l2;
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::check;
 use crate::testing::random::Random;
-use crate::testing::scenes::{self, Recipe};
+use crate::testing::scenes::Recipe;
 
 /// Widths of positions, quaternions, log-scales, opacities, colours and the probe.
 const WIDTHS: [usize; 6] = [3, 4, 3, 1, 3, 4];
@@ -90,22 +91,10 @@ fn every_way() -> [BlendOptions; 4] {
     [with_maps(Form::Ellipsoids), with_maps(Form::Discs), by_rays(), hybrid(Transparency::Hybrid)]
 }
 
-/// Positions, quaternions, log-scales, opacities and colours, row-major; then degrees of freedom, of students.
-#[derive(Clone, Default)]
-struct Flat([Vec<f64>; 5], Vec<f64>);
-
 struct Leaves {
     gaussians: Gaussians,
     colours: Tensor<2>,
     probe: Tensor<2>,
-}
-
-fn constant<const D: usize>(values: &[f64], shape: [usize; D], device: &Device, dtype: DType) -> Tensor<D> {
-    Tensor::from_data(TensorData::new(values.to_vec(), shape).convert_dtype(dtype), (device, dtype))
-}
-
-fn leaf<const D: usize>(values: &[f64], shape: [usize; D], device: &Device, dtype: DType) -> Tensor<D> {
-    constant(values, shape, device, dtype).require_grad()
 }
 
 /// The outputs in order and, with maps, median depth.
@@ -141,7 +130,7 @@ impl Leaves {
         let weighted = |output: &Output| {
             let image = output.of(&blended);
             let weights = output.weights(camera.width * camera.height);
-            (image.clone() * constant(&weights, image.dims(), &image.device(), image.dtype())).sum()
+            (image.clone() * of_type(&weights, image.dims(), &image.device(), image.dtype())).sum()
         };
         outputs.iter().map(weighted).reduce(|a, b| a + b).unwrap()
     }
@@ -149,45 +138,15 @@ impl Leaves {
     /// Gradients of [`Self::loss`] in the order of [`NAMES`].
     fn gradients(&self, outputs: &[Output], camera: &Camera, options: &BlendOptions) -> [Vec<f64>; 6] {
         let gradients = self.loss(outputs, camera, options).backward();
-        let of = |tensor: &Tensor<2>| values(&tensor.grad(&gradients).unwrap());
         let g = &self.gaussians;
-        let opacities = values(&g.opacities.grad(&gradients).unwrap());
-        [of(&g.positions), of(&g.quaternions), of(&g.log_scales), opacities, of(&self.colours), of(&self.probe)]
+        [&g.positions, &g.quaternions, &g.log_scales, &g.opacities, &self.colours, &self.probe]
+            .map(|tensor| values(&tensor.grad(&gradients).unwrap()))
     }
 }
 
 impl Flat {
-    fn random(seed: u64, recipe: &Recipe) -> (Self, Camera) {
-        let scene = scenes::random(seed, recipe);
-        let wide = |rows: &[f32]| rows.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
-        let g = scene.gaussians;
-        let colours = Random::new(seed).numbers(3 * g.len(), -0.3, 1.3);
-        let parameters = [wide(&g.positions), wide(&g.quaternions), wide(&g.log_scales), wide(&g.opacities), colours];
-        (Self(parameters, Vec::new()), scene.camera)
-    }
-
     fn push(&mut self, position: [f64; 3], log_scales: [f64; 3], opacity: f64, colour: [f64; 3]) {
         self.push_turned([0.7, 0.3, -0.5, 0.2], position, log_scales, opacity, colour);
-    }
-
-    fn push_turned(
-        &mut self,
-        quaternion: [f64; 4],
-        position: [f64; 3],
-        log_scales: [f64; 3],
-        opacity: f64,
-        colour: [f64; 3],
-    ) {
-        let rows: [&[f64]; 5] = [&position, &quaternion, &log_scales, &[opacity], &colour];
-        self.0.iter_mut().zip(rows).for_each(|(all, row)| all.extend(row));
-    }
-
-    fn len(&self) -> usize {
-        self.0[3].len()
-    }
-
-    fn row<const W: usize>(&self, of: usize, i: usize) -> [f64; W] {
-        self.0[of][W * i..W * (i + 1)].try_into().unwrap()
     }
 
     /// The same primitives, the first of them last.
@@ -196,24 +155,9 @@ impl Flat {
     }
 
     fn leaves_on(&self, device: &Device, dtype: DType) -> Leaves {
-        let count = self.len();
-        let rows = |i: usize| leaf(&self.0[i], [count, WIDTHS[i]], device, dtype);
-        let model = ColourModel::SphericalBeta { lobes: 0 };
-        let colour = Colour::new(model, rows(4), leaf(&[], [count, 0], device, dtype));
-        Leaves {
-            gaussians: Gaussians {
-                positions: rows(0),
-                quaternions: rows(1),
-                log_scales: rows(2),
-                opacities: leaf(&self.0[3], [count, 1], device, dtype),
-                opacity_base: leaf(&[], [count, 0], device, dtype),
-                opacity_detail: leaf(&[], [count, 0], device, dtype),
-                colour,
-                degrees_of_freedom: (!self.1.is_empty()).then(|| leaf(&self.1, [count, 1], device, dtype)),
-            },
-            colours: rows(4),
-            probe: leaf(&vec![0.0; 4 * count], [count, 4], device, dtype),
-        }
+        let (gaussians, colours) = self.gaussians_on(device, dtype);
+        let probe = of_type(&vec![0.0; 4 * self.len()], [self.len(), 4], device, dtype).require_grad();
+        Leaves { gaussians, colours, probe }
     }
 
     fn leaves(&self) -> Leaves {
@@ -222,17 +166,7 @@ impl Flat {
 
     /// Front to back.
     fn primitives(&self, camera: &Camera, options: &BlendOptions) -> Vec<Primitive> {
-        let primitive = |i: usize| {
-            let (position, quaternion, log_scales) = (self.row(0, i), self.row(1, i), self.row(2, i));
-            let parameters = Parameters {
-                position,
-                quaternion,
-                log_scales,
-                opacity: self.0[3][i],
-                degrees_of_freedom: self.1.get(i).copied().unwrap_or(f64::INFINITY),
-            };
-            Primitive::new(camera, options, i, &parameters, self.row(4, i))
-        };
+        let primitive = |i: usize| Primitive::new(camera, options, i, &self.parameters(i), self.row(4, i));
         let mut primitives: Vec<Primitive> = (0..self.len()).filter_map(primitive).collect();
         brute_force::sort(&mut primitives);
         primitives
@@ -245,19 +179,26 @@ fn dense(primitives: &[Primitive], camera: &Camera, options: &BlendOptions) -> V
     pixels.map(|i| pixel(primitives, camera, options, centre_of(camera, i))).collect()
 }
 
-fn axis_camera() -> Camera {
-    let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-    Camera {
-        camera_from_world: pose,
-        fx: 40.0,
-        fy: 44.0,
-        cx: 18.0,
-        cy: 14.0,
-        width: 40,
-        height: 30,
-        near: 0.2,
-        lens: None,
+/// Compares pictures with every pixel from its definition, all but the last `left_out` of the [`images`], and those without maps
+/// with them. Returns the pictures.
+fn check_pictures(
+    flat: &Flat,
+    camera: &Camera,
+    options: &BlendOptions,
+    tolerance: f64,
+    left_out: usize,
+) -> Vec<Vec<f64>> {
+    let expected = images_of_pixels(&dense(&flat.primitives(camera, options), camera, options));
+    assert!(expected[1].iter().any(|alpha| *alpha > 0.5));
+    let leaves = flat.leaves();
+    let found = images(&leaves.blend(camera, options));
+    assert_eq!(found.len(), expected.len());
+    for (found, expected) in found.iter().zip(&expected).take(expected.len() - left_out) {
+        assert_near(found, expected, tolerance);
     }
+    let without_maps = BlendOptions { maps: false, ..*options };
+    assert_eq!(images(&leaves.blend(camera, &without_maps)), found[..2]);
+    found
 }
 
 /// Pixel of [`axis_camera`] with its centre half a pixel right of and below the axis.

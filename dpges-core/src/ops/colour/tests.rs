@@ -2,10 +2,9 @@ use burn::tensor::Tensor;
 
 use super::colour;
 use super::cpu::model::{base, lobes, lobes_backward};
+use crate::ops::fixtures::{assert_near, check_rows, leaves_of, weights};
 use crate::scene::{Colour, ColourModel, SH_C0};
-use crate::testing::device;
 use crate::testing::golden::values;
-use crate::testing::gradients::{check, leaf};
 use crate::testing::random::Random;
 
 #[test]
@@ -50,11 +49,9 @@ struct Leaves {
     positions: Tensor<2>,
 }
 
-fn leaves(model: ColourModel, [base, detail, positions]: &[Vec<f64>; 3]) -> Leaves {
-    let (device, count) = (device(), base.len() / 3);
-    let colour =
-        Colour::new(model, leaf(base, [count, 3], &device), leaf(detail, [count, model.detail_len()], &device));
-    Leaves { colour, positions: leaf(positions, [count, 3], &device) }
+fn leaves(model: ColourModel, rows: &[Vec<f64>; 3]) -> Leaves {
+    let [base, detail, positions] = leaves_of(rows, [3, model.detail_len(), 3], rows[0].len() / 3);
+    Leaves { colour: Colour::new(model, base, detail), positions }
 }
 
 #[test]
@@ -64,19 +61,18 @@ fn gradients_are_central_differences_and_the_direction_carries_none() {
     for model in betas.into_iter().chain(harmonics) {
         let count = 6;
         let rows = primitives(model, count, 4);
-        let weights = leaf(&Random::new(5).numbers(3 * count, -1.0, 1.0), [count, 3], &device()).detach();
-        let loss = |of: &Leaves| (colour(&of.colour, &of.positions, CENTRE).unwrap() * weights.clone()).sum();
-        let at = leaves(model, &rows);
-        let gradients = loss(&at).backward();
-        assert!(at.positions.grad(&gradients).is_none_or(|g| values(&g).iter().all(|g| *g == 0.0)));
-        for (i, parameter) in [&at.colour.base, &at.colour.detail].into_iter().enumerate() {
-            let found = parameter.grad(&gradients).map_or_else(Vec::new, |g| values(&g));
-            check(&format!("{} of {model}", ["base", "detail"][i]), &rows[i], &found, 1e-5, |moved| {
-                let mut rows = rows.clone();
-                rows[i] = moved.to_vec();
-                values(&loss(&leaves(model, &rows)))[0]
-            });
-        }
+        let weights = weights(5, [count, 3]);
+        let Leaves { positions, .. } = leaves(model, &rows);
+        let [base, detail, _] = rows;
+        let widths = [3, model.detail_len()];
+        let rows = [base, detail];
+        let loss = |[base, detail]: &[Tensor<2>; 2]| {
+            let of = Colour::new(model, base.clone(), detail.clone());
+            (colour(&of, &positions, CENTRE).unwrap() * weights.clone()).sum()
+        };
+        check_rows(&model.to_string(), ["base", "detail"], &rows, widths, 1e-5, loss);
+        let gradients = loss(&leaves_of(&rows, widths, count)).backward();
+        assert!(positions.grad(&gradients).is_none_or(|g| values(&g).iter().all(|g| *g == 0.0)));
     }
 }
 
@@ -86,7 +82,7 @@ fn a_detail_in_parts_is_the_same_colour() {
     for (model, widths) in parts {
         let (model, count): (ColourModel, _) = (model.parse().unwrap(), 4);
         let rows = primitives(model, count, 8);
-        let weights = leaf(&Random::new(9).numbers(3 * count, -1.0, 1.0), [count, 3], &device()).detach();
+        let weights = weights(9, [count, 3]);
         let whole = leaves(model, &rows);
         let mut split = leaves(model, &rows);
         let mut first = 0;
@@ -98,18 +94,15 @@ fn a_detail_in_parts_is_the_same_colour() {
         split.colour.rest = columns.collect();
         let [expected, found] = [&whole, &split].map(|of| colour(&of.colour, &of.positions, CENTRE).unwrap());
         // on a CPU the sums of the parts are formed one by one
-        let near = |found: Vec<f64>, expected: Vec<f64>| {
-            assert_eq!(found.len(), expected.len(), "{model}");
-            found.iter().zip(expected).for_each(|(a, b)| approx::assert_relative_eq!(*a, b, epsilon = 1e-14));
-        };
-        near(values(&found), values(&expected));
+        let near = |found: &Tensor<2>, expected: &Tensor<2>| assert_near(&values(found), &values(expected), 1e-14);
+        near(&found, &expected);
         let [of_whole, of_split] = [expected, found].map(|out| (out * weights.clone()).sum().backward());
         let expected = whole.colour.detail.grad(&of_whole).unwrap();
         let found = split.colour.details().map(|part| part.grad(&of_split).unwrap()).collect();
-        near(values(&Tensor::<2>::cat(found, 1)), values(&expected));
-        let [expected, found] = [(&whole, &of_whole), (&split, &of_split)]
-            .map(|(of, gradients)| values(&of.colour.base.grad(gradients).unwrap()));
-        near(found, expected);
+        near(&Tensor::cat(found, 1), &expected);
+        let [expected, found] =
+            [(&whole, &of_whole), (&split, &of_split)].map(|(of, gradients)| of.colour.base.grad(gradients).unwrap());
+        near(&found, &expected);
         split.colour.rest.pop();
         let error = colour(&split.colour, &split.positions, CENTRE).unwrap_err().to_string();
         assert!(error.contains("colour.detail"), "{error}");
@@ -123,8 +116,7 @@ fn without_detail_both_models_are_the_base_colour() {
         let rows = primitives(model, 5, 6);
         let of = leaves(model, &rows);
         let found = values(&colour(&of.colour, &of.positions, CENTRE).unwrap());
-        let expected: Vec<f64> = rows[0].iter().map(|k| 0.5 + SH_C0 * k).collect();
-        found.iter().zip(expected).for_each(|(a, b)| approx::assert_relative_eq!(*a, b, epsilon = 1e-15));
+        assert_near(&found, &rows[0].iter().map(|k| 0.5 + SH_C0 * k).collect::<Vec<f64>>(), 1e-15);
     }
 }
 

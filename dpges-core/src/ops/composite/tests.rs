@@ -1,7 +1,7 @@
-use burn::tensor::{DType, Int, Tensor, TensorData};
+use burn::tensor::Tensor;
 
 use super::{Composite, CompositeOptions, OutputKind, composite};
-use crate::ops::peel::Layers;
+use crate::ops::fixtures::{assert_near, constant, gradient_of, layers, replaced};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
@@ -64,9 +64,7 @@ impl Flat {
     }
 
     fn composite(&self, (alpha, colours, sums): &(Tensor<3>, Tensor<2>, Tensor<4>), detach: bool) -> Composite {
-        let ids = TensorData::new(self.ids.clone(), [self.layers, HEIGHT, WIDTH]);
-        let ids = Tensor::<3, Int>::from_data(ids, (&device(), DType::I32));
-        let layers = Layers { ids, alpha: alpha.clone(), depth: alpha.clone().detach() };
+        let layers = layers(&self.ids, alpha.clone());
         let options = CompositeOptions { background: BACKGROUND, detach_transmittance: detach };
         composite(&layers, colours, sums, &options).unwrap()
     }
@@ -113,8 +111,30 @@ fn output(of: &Composite, kind: OutputKind) -> &Tensor<3> {
     }
 }
 
-fn weighted(output: &[f64], weights: &[f64]) -> f64 {
-    output.iter().zip(weights).map(|(a, b)| a * b).sum()
+/// Compares the gradients of a weighted sum of some outputs with central differences of the formulas.
+fn check_gradients(flat: &Flat, kinds: &[OutputKind], detach: bool, seed: u64) {
+    let leaves = flat.leaves();
+    let rendered = flat.composite(&leaves, detach);
+    let mut random = Random::new(seed);
+    let images: Vec<&Tensor<3>> = kinds.iter().map(|kind| output(&rendered, *kind)).collect();
+    let weights: Vec<Vec<f64>> =
+        images.iter().map(|image| random.numbers(image.dims().iter().product(), -1.0, 1.0)).collect();
+    let losses =
+        images.iter().zip(&weights).map(|(image, weights)| ((*image).clone() * constant(weights, image.dims())).sum());
+    let gradients = losses.reduce(|sum, loss| sum + loss).unwrap().backward();
+    let found =
+        [gradient_of(&leaves.0, &gradients), gradient_of(&leaves.1, &gradients), gradient_of(&leaves.2, &gradients)];
+    for (i, found) in found.into_iter().enumerate() {
+        let name = format!("{kinds:?} (K = {}, detach {detach}) with respect to {}", flat.layers, NAMES[i]);
+        check(&name, &flat.values[i], &found, 1e-4, |moved| {
+            let moved = Flat { values: replaced(&flat.values, i, moved), ..flat.clone() };
+            let out = moved.composite_plainly(detach.then_some(flat));
+            let weighted = |(kind, weights): (&OutputKind, &Vec<f64>)| -> f64 {
+                out[*kind as usize].iter().zip(weights).map(|(a, b)| a * b).sum()
+            };
+            kinds.iter().zip(&weights).map(weighted).sum()
+        });
+    }
 }
 
 #[test]
@@ -123,9 +143,7 @@ fn outputs_are_the_formulas() {
         let flat = Flat::random(layers, layers as u64);
         let (found, expected) = (flat.composite(&flat.leaves(), false), flat.composite_plainly(None));
         for (kind, expected) in KINDS.into_iter().zip(expected) {
-            let found = values(output(&found, kind));
-            assert_eq!(found.len(), expected.len());
-            found.iter().zip(expected).for_each(|(a, b)| approx::assert_relative_eq!(*a, b, epsilon = 1e-12));
+            assert_near(&values(output(&found, kind)), &expected, 1e-12);
         }
     }
 }
@@ -134,30 +152,8 @@ fn outputs_are_the_formulas() {
 fn gradients_of_every_output_are_central_differences() {
     for layers in 1..=4 {
         let flat = Flat::random(layers, 10 + layers as u64);
-        for (which, kind) in KINDS.into_iter().enumerate() {
-            for detach in [false, true] {
-                let leaves = flat.leaves();
-                let rendered = flat.composite(&leaves, detach);
-                let image = output(&rendered, kind);
-                let weights = Random::new(3).numbers(image.dims().iter().product(), -1.0, 1.0);
-                let weight_image = leaf(&weights, image.dims(), &device()).detach();
-                let gradients = (image.clone() * weight_image).sum().backward();
-                let found = [
-                    leaves.0.grad(&gradients).map(|g| values(&g)),
-                    leaves.1.grad(&gradients).map(|g| values(&g)),
-                    leaves.2.grad(&gradients).map(|g| values(&g)),
-                ];
-                for (i, found) in found.into_iter().enumerate() {
-                    let found = found.unwrap_or_else(|| vec![0.0; flat.values[i].len()]);
-                    let name = format!("{kind:?} (K = {layers}, detach {detach}) with respect to {}", NAMES[i]);
-                    check(&name, &flat.values[i], &found, 1e-4, |moved| {
-                        let mut moved_view = flat.clone();
-                        moved_view.values[i] = moved.to_vec();
-                        let out = moved_view.composite_plainly(detach.then_some(&flat));
-                        weighted(&out[which], &weights)
-                    });
-                }
-            }
+        for (kind, detach) in KINDS.into_iter().flat_map(|kind| [(kind, false), (kind, true)]) {
+            check_gradients(&flat, &[kind], detach, 3);
         }
     }
 }
@@ -165,31 +161,7 @@ fn gradients_of_every_output_are_central_differences() {
 #[test]
 fn a_loss_of_all_outputs_goes_back_from_all_of_them() {
     for detach in [false, true] {
-        let flat = Flat::random(3, 20);
-        let leaves = flat.leaves();
-        let rendered = flat.composite(&leaves, detach);
-        let images = KINDS.map(|kind| output(&rendered, kind));
-        let mut random = Random::new(4);
-        let weights = images.map(|image| random.numbers(image.dims().iter().product(), -1.0, 1.0));
-        let losses = images
-            .iter()
-            .zip(&weights)
-            .map(|(image, weights)| ((*image).clone() * leaf(weights, image.dims(), &device()).detach()).sum());
-        let gradients = losses.reduce(|sum, loss| sum + loss).unwrap().backward();
-        let found = [
-            values(&leaves.0.grad(&gradients).unwrap()),
-            values(&leaves.1.grad(&gradients).unwrap()),
-            values(&leaves.2.grad(&gradients).unwrap()),
-        ];
-        for (i, found) in found.into_iter().enumerate() {
-            let name = format!("all outputs (detach {detach}) with respect to {}", NAMES[i]);
-            check(&name, &flat.values[i], &found, 1e-4, |moved| {
-                let mut moved_view = flat.clone();
-                moved_view.values[i] = moved.to_vec();
-                let out = moved_view.composite_plainly(detach.then_some(&flat));
-                out.iter().zip(&weights).map(|(output, weights)| weighted(output, weights)).sum()
-            });
-        }
+        check_gradients(&Flat::random(3, 20), &KINDS, detach, 4);
     }
 }
 

@@ -4,6 +4,7 @@ use glam::DVec3;
 use super::environment;
 use crate::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
 use crate::ops::colour::colour;
+use crate::ops::fixtures::{assert_near, weights};
 use crate::render::blended::{BlendedOptions, render_blended};
 use crate::render::{RenderOptions, Values, render};
 use crate::scene::{Colour, ColourModel, Rendering, SceneInfo};
@@ -119,10 +120,7 @@ fn a_constant_environment_is_a_background() {
     let coefficients: Vec<f64> = sky.iter().map(|c| c / crate::scene::SH_C0).collect();
     let device = device();
     let behind = || environment(&leaf(&coefficients, [1, 3], &device), &scene.camera).unwrap();
-    let near = |found: &[f64], expected: &[f64]| {
-        assert_eq!(found.len(), expected.len());
-        found.iter().zip(expected).for_each(|(a, b)| approx::assert_relative_eq!(*a, *b, epsilon = 1e-11));
-    };
+    let near = |found: &[f64], expected: &[f64]| assert_near(found, expected, 1e-11);
 
     let of = |in_front: bool| {
         let (surfels, gaussians) = scene.leaves(&device, DType::F64);
@@ -158,13 +156,12 @@ fn gradients_reach_the_environment_of_a_rendered_view() {
     let scene = small();
     let device = device();
     let coefficients = Random::new(6).numbers(48, -1.0, 1.0);
-    let weights = Random::new(7).numbers(420, -1.0, 1.0);
+    let weights = weights(7, [3, 10, 14]);
     let (surfels, gaussians) = scene.leaves(&device, DType::F64);
     let loss = |coefficients: &Tensor<2>| {
         let view = render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).unwrap();
         let view = view.in_front_of(environment(coefficients, &scene.camera).unwrap()).composite;
-        let upstream = leaf(&weights, [3, 10, 14], &device).detach();
-        ((view.image + view.surfel_image) * upstream).sum()
+        ((view.image + view.surfel_image) * weights.clone()).sum()
     };
     let at = leaf(&coefficients, [16, 3], &device);
     let found = values(&at.grad(&loss(&at).backward()).unwrap());

@@ -1,15 +1,15 @@
-use burn::tensor::{DType, Tensor, TensorData};
+use burn::tensor::{DType, Tensor};
 
 use super::{FiniteChecks, check_finite};
 use crate::error::Error;
+use crate::ops::fixtures::of_type;
 use crate::testing::device;
 use crate::testing::golden::values;
 
 fn rows(count: usize, bad: &[(usize, f64)], dtype: DType) -> Tensor<2> {
     let mut values: Vec<f64> = (0..count * 3).map(|i| f64::from(i as f32).sin() * 1e30).collect();
     bad.iter().for_each(|&(at, value)| values[at] = value);
-    let data = TensorData::new(values, [count, 3]).convert_dtype(dtype);
-    Tensor::from_data(data, (&device(), dtype))
+    of_type(&values, [count, 3], &device(), dtype)
 }
 
 fn first(tensor: &Tensor<2>) -> Option<usize> {

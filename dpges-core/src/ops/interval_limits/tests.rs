@@ -1,20 +1,14 @@
-use burn::tensor::{DType, Int, Tensor, TensorData};
-
 use super::cpu::limits;
 use super::interval_limits;
+use crate::ops::fixtures;
+use crate::ops::fixtures::constant;
 use crate::ops::peel::Layers;
 use crate::scene::MarginLookup;
-use crate::testing::device;
 use crate::testing::golden::values;
-use crate::testing::gradients::leaf;
 use crate::testing::random::Random;
 
 const WIDTH: usize = 40;
 const HEIGHT: usize = 30;
-
-fn image(values: &[f64], layers: usize) -> Tensor<3> {
-    leaf(values, [layers, HEIGHT, WIDTH], &device()).detach()
-}
 
 #[test]
 fn limits_ascend_and_close_behind_the_last_layer() {
@@ -47,13 +41,9 @@ fn intervals_are_those_of_the_first_layer_that_lies_behind() {
             alpha[slot] = if opaque { 1.0 } else { random.between(0.1, 0.9) };
         }
     }
-    let id_tensor = TensorData::new(ids.clone(), [layers, HEIGHT, WIDTH]);
-    let peeled = Layers {
-        ids: Tensor::<3, Int>::from_data(id_tensor, (&device(), DType::I32)),
-        alpha: image(&alpha, layers),
-        depth: image(&depth, layers),
-    };
-    let margin_tensor = leaf(&margins, [20, 1], &device()).detach();
+    let [alphas, depths] = [&alpha, &depth].map(|values| constant(values, [layers, HEIGHT, WIDTH]));
+    let peeled = Layers { depth: depths, ..fixtures::layers(&ids, alphas) };
+    let margin_tensor = constant(&margins, [20, 1]);
     let limits = [MarginLookup::Shifted, MarginLookup::Literal]
         .map(|lookup| values(&interval_limits(&peeled, &margin_tensor, lookup).unwrap()));
     for at in 0..pixels {

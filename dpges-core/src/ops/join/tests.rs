@@ -1,6 +1,7 @@
-use burn::tensor::{DType, Tensor, TensorData};
+use burn::tensor::{DType, Tensor};
 
 use super::join;
+use crate::ops::fixtures::of_type;
 use crate::testing::device;
 use crate::testing::golden::values;
 
@@ -10,7 +11,7 @@ fn parts_of_any_lengths_and_number_stay_in_order() {
         for count in [1, 2, 6, 7, 13, 40] {
             let part = |length: usize, from: usize| {
                 let numbers: Vec<f64> = (from..from + length).map(|number| number as f64).collect();
-                Tensor::<1>::from_data(TensorData::new(numbers, [length]).convert_dtype(dtype), (&device(), dtype))
+                of_type(&numbers, [length], &device(), dtype)
             };
             let lengths: Vec<usize> = (0..count).map(|at| [1, 3, 1, 2][at % 4]).collect();
             let starts = lengths.iter().scan(0, |sum, length| {

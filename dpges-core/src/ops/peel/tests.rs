@@ -1,17 +1,16 @@
 mod lens;
 
 use burn::tensor::Tensor;
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 
 use super::{Layers, PeelGradient, PeelOptions, peel};
-use crate::camera::{Camera, CameraFromWorld};
+use crate::camera::Camera;
 use crate::footprint::CUTOFF;
 use crate::footprint::surfel::cpu::{Disc, MIN_FACING, Parameters};
 use crate::math::{CameraOf, M3, V3, add, apply, column, dot, rotation, scale, sub};
+use crate::ops::fixtures::{self, SURFEL_NAMES, SURFEL_WIDTHS, check_rows, leaves_of, surfel_rows};
 use crate::scene::{ColourModel, Footprint};
-use crate::testing::device;
 use crate::testing::golden::values;
-use crate::testing::gradients::{check, leaf};
 use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe};
 use crate::tiles::PixelRect;
@@ -65,9 +64,7 @@ struct Flat([Vec<f64>; 3]);
 impl Flat {
     fn random(seed: u64, recipe: &Recipe) -> (Self, Camera) {
         let scene = scenes::random(seed, recipe);
-        let wide = |rows: &[f32]| rows.iter().map(|&v| f64::from(v)).collect();
-        let surfels = scene.surfels;
-        (Self([wide(&surfels.positions), wide(&surfels.quaternions), wide(&surfels.log_scales)]), scene.camera)
+        (Self(surfel_rows(&scene.surfels)), scene.camera)
     }
 
     fn of(surfels: &[Parameters]) -> Self {
@@ -91,13 +88,11 @@ impl Flat {
     }
 
     fn leaves(&self) -> [Tensor<2>; 3] {
-        let device = device();
-        [(0, 3), (1, 4), (2, 2)].map(|(i, width)| leaf(&self.0[i], [self.len(), width], &device))
+        leaves_of(&self.0, SURFEL_WIDTHS, self.len())
     }
 
     fn peel(&self, camera: &Camera, options: &PeelOptions) -> Layers {
-        let [positions, quaternions, log_scales] = self.leaves();
-        peel(&positions, &quaternions, &log_scales, camera, options).unwrap()
+        peeled(&self.leaves(), camera, options)
     }
 
     /// The layers by sorting every fragment of every pixel; [K, H, W].
@@ -127,9 +122,16 @@ impl Flat {
     }
 }
 
+fn peeled([positions, quaternions, log_scales]: &[Tensor<2>; 3], camera: &Camera, options: &PeelOptions) -> Layers {
+    peel(positions, quaternions, log_scales, camera, options).unwrap()
+}
+
+fn ids_of(layers: &Layers) -> Vec<i64> {
+    layers.ids.clone().into_data().iter::<i64>().collect()
+}
+
 fn assert_same(layers: &Layers, expected: &[Option<Fragment>]) {
-    let ids: Vec<i64> = layers.ids.clone().into_data().iter::<i64>().collect();
-    let (alpha, depth) = (values(&layers.alpha), values(&layers.depth));
+    let (ids, alpha, depth) = (ids_of(layers), values(&layers.alpha), values(&layers.depth));
     assert_eq!(ids.len(), expected.len());
     for (at, expected) in expected.iter().enumerate() {
         match expected {
@@ -148,9 +150,8 @@ fn options(layer_count: usize, modulation: f64, footprint: Footprint) -> PeelOpt
 }
 
 fn axis_camera(width: usize, height: usize) -> Camera {
-    let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
     let (cx, cy) = (0.45 * width as f64, 0.55 * height as f64);
-    Camera { camera_from_world: pose, fx: 30.0, fy: 34.0, cx, cy, width, height, near: 0.2, lens: None }
+    Camera { fx: 30.0, fy: 34.0, cx, cy, width, height, ..fixtures::axis_camera() }
 }
 
 /// Discs of every kind: ordinary, tiny, huge, edge-on, across the near plane, behind it.
@@ -182,25 +183,30 @@ fn every_kind(count: usize) -> Vec<Parameters> {
         .collect()
 }
 
-#[test]
-fn no_fragment_lies_outside_the_reach_of_its_disc() {
-    let camera = axis_camera(40, 30);
-    let of = CameraOf::new(&camera);
-    for footprint in [Footprint::Kernel, Footprint::Opacity] {
-        let options = options(1, 30.0, footprint);
-        let radius = footprint.radius(options.modulation).unwrap();
-        let mut fragments = [0; 6];
-        for (i, surfel) in every_kind(3000).iter().enumerate() {
-            let rect = Disc::new(&of, surfel).reach(&of, radius);
-            let dense = Dense::new(&of, surfel);
-            for (x, y) in (0..30).flat_map(|y| (0..40).map(move |x| (x, y))) {
-                if dense.fragment(&of, &options, f64::from(x) + 0.5, f64::from(y) + 0.5).is_some() {
-                    fragments[i % 6] += 1;
-                    let inside = (rect.x0..rect.x1).contains(&x) && (rect.y0..rect.y1).contains(&y);
-                    assert!(inside, "pixel ({x}, {y}) of surfel {i} {surfel:?} is outside {rect:?}");
-                }
+/// Fragments of each kind of discs, all within the reach of their disc.
+fn fragments_within_reach(name: &str, camera: &Camera, options: &PeelOptions, count: usize) -> [usize; 6] {
+    let of = CameraOf::new(camera);
+    let radius = options.footprint.radius(options.modulation).unwrap();
+    let mut fragments = [0; 6];
+    for (i, surfel) in every_kind(count).iter().enumerate() {
+        let rect = Disc::new(&of, surfel).reach(&of, radius);
+        let dense = Dense::new(&of, surfel);
+        for (x, y) in (0..30).flat_map(|y| (0..40).map(move |x| (x, y))) {
+            if dense.fragment(&of, options, f64::from(x) + 0.5, f64::from(y) + 0.5).is_some() {
+                fragments[i % 6] += 1;
+                let inside = (rect.x0..rect.x1).contains(&x) && (rect.y0..rect.y1).contains(&y);
+                assert!(inside, "{name}: pixel ({x}, {y}) of surfel {i} {surfel:?} is outside {rect:?}");
             }
         }
+    }
+    fragments
+}
+
+#[test]
+fn no_fragment_lies_outside_the_reach_of_its_disc() {
+    for footprint in [Footprint::Kernel, Footprint::Opacity] {
+        let options = options(1, 30.0, footprint);
+        let fragments = fragments_within_reach("pinhole", &axis_camera(40, 30), &options, 3000);
         assert!([0, 2, 4].iter().all(|&kind| fragments[kind] > 1000), "{fragments:?}");
     }
 }
@@ -272,8 +278,7 @@ fn peeling_equals_sorting_for_discs_of_every_kind_and_images_of_every_size() {
         let options = options(4, 30.0, Footprint::Kernel);
         let (layers, expected) = (surfels.peel(&camera, &options), surfels.peel_densely(&camera, &options));
         // an edge-on disc magnifies rounding: only ids and the fragments' presence are exact
-        let ids: Vec<i64> = layers.ids.into_data().iter::<i64>().collect();
-        assert_eq!(ids, expected.iter().map(|f| f.map_or(-1, |f| f.1 as i64)).collect::<Vec<_>>());
+        assert_eq!(ids_of(&layers), expected.iter().map(|f| f.map_or(-1, |f| f.1 as i64)).collect::<Vec<_>>());
     }
 }
 
@@ -290,15 +295,24 @@ fn facing_disc(depth: f64, offset: f64) -> Parameters {
     Parameters { position: [offset, 0.0, depth], quaternion: [1.0, 0.0, 0.0, 0.0], log_scales: [0.0, 0.0] }
 }
 
+/// Ids of the layers of a pixel that looks along the axis.
+fn ids_on_axis(surfels: &[Parameters], layer_count: usize, backstop: bool) -> Vec<i64> {
+    let options = PeelOptions { backstop, ..options(layer_count, 30.0, Footprint::Kernel) };
+    ids_of(&Flat::of(surfels).peel(&axis_camera(1, 1), &options))
+}
+
+/// Opacity 1 within 2.6 σ, a rim from there to 3.33 σ.
+fn rim(depth: f64) -> Parameters {
+    facing_disc(depth, 3.0)
+}
+
+fn opaque(depth: f64) -> Parameters {
+    facing_disc(depth, 0.1)
+}
+
 #[test]
 fn ties_in_depth_are_broken_by_index_and_nothing_lies_behind_an_opaque_fragment() {
-    let camera = axis_camera(1, 1);
-    // opacity 1 within 2.6 σ, a rim from there to 3.33 σ
-    let (rim, opaque) = (|depth| facing_disc(depth, 3.0), |depth| facing_disc(depth, 0.1));
-    let ids = |surfels: &[Parameters], layers: usize| -> Vec<i64> {
-        let layers = Flat::of(surfels).peel(&camera, &options(layers, 30.0, Footprint::Kernel));
-        layers.ids.into_data().iter::<i64>().collect()
-    };
+    let ids = |surfels: &[Parameters], layers: usize| ids_on_axis(surfels, layers, false);
     assert_eq!(ids(&[rim(2.0), rim(2.0), rim(1.0), rim(2.0)], 4), [2, 0, 1, 3]);
     assert_eq!(ids(&[rim(2.0), rim(2.0), rim(1.0), rim(2.0)], 2), [2, 0]);
     assert_eq!(ids(&[rim(3.0), opaque(2.0), rim(1.0), opaque(2.0)], 4), [2, 1, -1, -1]);
@@ -309,12 +323,7 @@ fn ties_in_depth_are_broken_by_index_and_nothing_lies_behind_an_opaque_fragment(
 
 #[test]
 fn the_nearest_opaque_fragment_is_the_last_layer_with_a_backstop() {
-    let camera = axis_camera(1, 1);
-    let (rim, opaque) = (|depth| facing_disc(depth, 3.0), |depth| facing_disc(depth, 0.1));
-    let ids = |surfels: &[Parameters], layers: usize| -> Vec<i64> {
-        let options = PeelOptions { backstop: true, ..options(layers, 30.0, Footprint::Kernel) };
-        Flat::of(surfels).peel(&camera, &options).ids.into_data().iter::<i64>().collect()
-    };
+    let ids = |surfels: &[Parameters], layers: usize| ids_on_axis(surfels, layers, true);
     let three_rims = [rim(3.0), opaque(5.0), rim(1.0), opaque(4.0), rim(2.0), opaque(4.0)];
     assert_eq!(ids(&three_rims, 1), [3]);
     assert_eq!(ids(&three_rims, 2), [2, 3]);
@@ -331,10 +340,10 @@ fn a_zero_quaternion_is_the_identity_and_gets_no_gradient() {
     let (camera, options) = (axis_camera(20, 9), options(3, 0.9, Footprint::Opacity));
     let expected = Flat::of(&surfels).peel_densely(&camera, &options);
     surfels[1].quaternion = [0.0; 4];
-    let [positions, quaternions, log_scales] = Flat::of(&surfels).leaves();
-    let layers = peel(&positions, &quaternions, &log_scales, &camera, &options).unwrap();
+    let leaves = Flat::of(&surfels).leaves();
+    let layers = peeled(&leaves, &camera, &options);
     assert_same(&layers, &expected);
-    let gradient = values(&quaternions.grad(&layers.alpha.sum().backward()).unwrap());
+    let gradient = values(&leaves[1].grad(&layers.alpha.sum().backward()).unwrap());
     assert!(gradient[..4].iter().any(|g| g.abs() > 1e-3) && gradient[4..].iter().all(|g| *g == 0.0), "{gradient:?}");
 }
 
@@ -347,6 +356,16 @@ fn loss(layers: &Layers, of: PeelGradient, weights: &Tensor<3>) -> Tensor<1> {
     (output * weights.clone()).sum()
 }
 
+/// Compares the gradients of both outputs with central differences.
+fn check_gradients(name: &str, surfels: &Flat, camera: &Camera, options: &PeelOptions, seed: u64) {
+    let weights = fixtures::weights(seed, [3, camera.height, camera.width]);
+    for of in [PeelGradient::Alpha, PeelGradient::Depth] {
+        check_rows(&format!("{name}: {of:?}"), SURFEL_NAMES, &surfels.0, SURFEL_WIDTHS, 1e-6, |leaves| {
+            loss(&peeled(leaves, camera, options), of, &weights)
+        });
+    }
+}
+
 #[test]
 fn gradients_of_alpha_and_depth_are_central_differences() {
     let model = ColourModel::SphericalBeta { lobes: 0 };
@@ -355,26 +374,6 @@ fn gradients_of_alpha_and_depth_are_central_differences() {
     {
         let recipe = Recipe { surfels: 7, gaussians: 0, model, width: 21, height: 18, ..Recipe::default() };
         let (surfels, camera) = Flat::random(seed, &recipe);
-        let options = options(3, modulation, footprint);
-        let shape = [3, camera.height, camera.width];
-        let weights = leaf(&Random::new(seed).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
-        for of in [PeelGradient::Alpha, PeelGradient::Depth] {
-            let leaves = surfels.leaves();
-            let [positions, quaternions, log_scales] = &leaves;
-            let layers = peel(positions, quaternions, log_scales, &camera, &options).unwrap();
-            let gradients = loss(&layers, of, &weights).backward();
-            for (i, leaf) in leaves.iter().enumerate() {
-                let found = leaf.grad(&gradients).map_or_else(|| vec![0.0; surfels.0[i].len()], |g| values(&g));
-                let name = format!(
-                    "{of:?} with respect to {} (w = {modulation})",
-                    ["positions", "quaternions", "log_scales"][i]
-                );
-                check(&name, &surfels.0[i], &found, 1e-6, |moved| {
-                    let mut surfels = surfels.clone();
-                    surfels.0[i] = moved.to_vec();
-                    values(&loss(&surfels.peel(&camera, &options), of, &weights))[0]
-                });
-            }
-        }
+        check_gradients(&format!("w = {modulation}"), &surfels, &camera, &options(3, modulation, footprint), seed);
     }
 }

@@ -1,6 +1,7 @@
 use burn::tensor::Tensor;
 
 use super::{PhotometricWeights, photometric, ssim};
+use crate::ops::fixtures::constant;
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check_elements, leaf};
@@ -95,7 +96,7 @@ fn is_ignored(pixel: usize) -> bool {
 
 fn mask() -> Tensor<3> {
     let ignored: Vec<f64> = (0..AREA).map(|pixel| f64::from(u8::from(is_ignored(pixel)))).collect();
-    leaf(&ignored, [1, SHAPE[1], SHAPE[2]], &device()).detach()
+    constant(&ignored, [1, SHAPE[1], SHAPE[2]])
 }
 
 fn weights(masked: bool) -> PhotometricWeights {

@@ -4,77 +4,24 @@ use burn::tensor::Tensor;
 use glam::{DMat3, DVec2, DVec3};
 
 use super::{contributions, splat, splat_probed};
-use crate::camera::{Camera, CameraFromWorld};
+use crate::camera::Camera;
 use crate::footprint::CUTOFF;
 use crate::footprint::gaussian::cpu::{MIN_COMPENSATION_SQUARED, Parameters, Splat};
 use crate::math::{CameraOf, rotation};
-use crate::scene::{Colour, ColourModel, Gaussians, ScreenFilter};
+use crate::ops::fixtures::{Flat, NAMES, axis_camera, constant, replaced, weights};
+use crate::scene::ScreenFilter;
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
 use crate::testing::random::Random;
-use crate::testing::scenes::{self, Recipe};
+use crate::testing::scenes::Recipe;
 use crate::tiles::PixelRect;
 
-/// Widths of positions, quaternions, log-scales, opacities and colours.
-const WIDTHS: [usize; 5] = [3, 4, 3, 1, 3];
-const NAMES: [&str; 5] = ["positions", "quaternions", "log_scales", "opacities", "colours"];
-
-/// Positions, quaternions, log-scales, opacities and colours, row-major.
-#[derive(Clone, Default)]
-struct Flat([Vec<f64>; 5]);
-
-struct Leaves {
-    gaussians: Gaussians,
-    colours: Tensor<2>,
-}
+const COLOUR: [f64; 3] = [0.9, -0.2, 0.4];
 
 impl Flat {
-    fn random(seed: u64, recipe: &Recipe) -> (Self, Camera) {
-        let scene = scenes::random(seed, recipe);
-        let wide = |rows: &[f32]| rows.iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
-        let g = scene.gaussians;
-        let colours = Random::new(seed).numbers(3 * g.len(), -0.3, 1.3);
-        let parameters = [wide(&g.positions), wide(&g.quaternions), wide(&g.log_scales), wide(&g.opacities), colours];
-        (Self(parameters), scene.camera)
-    }
-
-    fn push(&mut self, position: [f64; 3], quaternion: [f64; 4], log_scales: [f64; 3], opacity: f64) {
-        let colour = [0.9, -0.2, 0.4];
-        let rows: [&[f64]; 5] = [&position, &quaternion, &log_scales, &[opacity], &colour];
-        self.0.iter_mut().zip(rows).for_each(|(all, row)| all.extend(row));
-    }
-
-    fn len(&self) -> usize {
-        self.0[3].len()
-    }
-
-    fn row<const W: usize>(&self, of: usize, i: usize) -> [f64; W] {
-        self.0[of][W * i..W * (i + 1)].try_into().unwrap()
-    }
-
-    fn leaves(&self) -> Leaves {
-        let device = device();
-        let rows = |i: usize| leaf(&self.0[i], [self.len(), WIDTHS[i]], &device);
-        let model = ColourModel::SphericalBeta { lobes: 0 };
-        let colour = Colour::new(model, rows(4), leaf(&[], [self.len(), 0], &device));
-        Leaves {
-            gaussians: Gaussians {
-                positions: rows(0),
-                quaternions: rows(1),
-                log_scales: rows(2),
-                opacities: leaf(&self.0[3], [self.len(), 1], &device),
-                opacity_base: leaf(&[], [self.len(), 0], &device),
-                opacity_detail: leaf(&[], [self.len(), 0], &device),
-                colour,
-                degrees_of_freedom: None,
-            },
-            colours: rows(4),
-        }
-    }
-
     fn splat(&self, limits: &Tensor<3>, camera: &Camera) -> Tensor<4> {
-        let Leaves { gaussians, colours } = self.leaves();
+        let (gaussians, colours) = self.gaussians();
         splat(&gaussians, &colours, limits, camera).unwrap()
     }
 
@@ -147,21 +94,6 @@ impl Flat {
     }
 }
 
-fn axis_camera() -> Camera {
-    let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
-    Camera {
-        camera_from_world: pose,
-        fx: 40.0,
-        fy: 44.0,
-        cx: 18.0,
-        cy: 14.0,
-        width: 40,
-        height: 30,
-        near: 0.2,
-        lens: None,
-    }
-}
-
 /// Ascending limits [K, H, W] around `depth`, with steps between neighbouring pixels.
 fn random_limits(layers: usize, depth: f64, camera: &Camera, seed: u64) -> Vec<f64> {
     let (mut random, pixels) = (Random::new(seed), camera.width * camera.height);
@@ -178,7 +110,7 @@ fn random_limits(layers: usize, depth: f64, camera: &Camera, seed: u64) -> Vec<f
 }
 
 fn image(values: &[f64], layers: usize, camera: &Camera) -> Tensor<3> {
-    leaf(values, [layers, camera.height, camera.width], &device()).detach()
+    constant(values, [layers, camera.height, camera.width])
 }
 
 fn assert_close(found: &[f64], expected: &[f64], relative: f64) {
@@ -204,9 +136,22 @@ fn every_kind(count: usize) -> Flat {
             _ => std::array::from_fn(|_| random.between(-9.0, -3.0)),
         };
         let opacity = [0.7, 3.0, 0.02, -0.5, 1.0][random.below(5)];
-        flat.push(position, std::array::from_fn(|_| random.normal()), log_scales, opacity);
+        flat.push_turned(std::array::from_fn(|_| random.normal()), position, log_scales, opacity, COLOUR);
     }
     flat
+}
+
+/// Compares sums and contributions with dense ones.
+fn check_against_dense(name: &str, flat: &Flat, layers: usize, depth: f64, camera: &Camera, tolerance: f64) {
+    let limits = random_limits(layers, depth, camera, 1);
+    let gates = Random::new(2).numbers(limits.len(), 0.0, 1.0);
+    let (sums, largest) = flat.splat_densely(&limits, &gates, camera);
+    assert!(sums.iter().filter(|s| **s != 0.0).count() > sums.len() / 4, "{name}");
+    let (limits, gates) = (image(&limits, layers, camera), image(&gates, layers, camera));
+    assert_close(&values(&flat.splat(&limits, camera)), &sums, tolerance);
+    let (gaussians, colours) = flat.gaussians();
+    let found = contributions(&gaussians, &colours, &limits, &gates, camera).unwrap();
+    assert_close(&values(&found), &largest, tolerance);
 }
 
 #[test]
@@ -214,17 +159,8 @@ fn tiled_sums_and_contributions_equal_dense_ones() {
     for layers in 1..=4 {
         let recipe = Recipe { surfels: 0, gaussians: 60, width: 45, height: 37, ..Recipe::default() };
         let (random, random_camera) = Flat::random(layers as u64, &recipe);
-        for (gaussians, camera) in [(random, random_camera), (every_kind(400), axis_camera())] {
-            let limits = random_limits(layers, 2.5, &camera, 1);
-            let gates = Random::new(2).numbers(limits.len(), 0.0, 1.0);
-            let (sums, largest) = gaussians.splat_densely(&limits, &gates, &camera);
-            assert!(sums.iter().filter(|s| **s != 0.0).count() > sums.len() / 4);
-            let (limits, gates) = (image(&limits, layers, &camera), image(&gates, layers, &camera));
-            assert_close(&values(&gaussians.splat(&limits, &camera)), &sums, 1e-11);
-            let Leaves { gaussians, colours } = gaussians.leaves();
-            let found = contributions(&gaussians, &colours, &limits, &gates, &camera).unwrap();
-            assert_close(&values(&found), &largest, 1e-11);
-        }
+        check_against_dense("random", &random, layers, 2.5, &random_camera, 1e-11);
+        check_against_dense("every kind", &every_kind(400), layers, 2.5, &axis_camera(), 1e-11);
     }
 }
 
@@ -234,16 +170,8 @@ fn reach_is_the_box_of_the_ellipse_of_the_cutoff() {
     let camera = axis_camera().resized(40 * MAGNIFIED as usize, 30 * MAGNIFIED as usize);
     let (of, flat, mut compared) = (CameraOf::<f64>::new(&camera), every_kind(400), 0);
     for i in 0..flat.len() {
-        let opacity = flat.0[3][i];
-        let log_scales = flat.row(2, i);
-        let parameters = Parameters {
-            position: flat.row(0, i),
-            quaternion: flat.row(1, i),
-            log_scales,
-            opacity,
-            degrees_of_freedom: f64::INFINITY,
-        };
-        let Some(splat) = Splat::new(&of, &parameters, flat.row(4, i), ScreenFilter::Compensated) else { continue };
+        let splat = Splat::new(&of, &flat.parameters(i), flat.row(4, i), ScreenFilter::Compensated);
+        let Some(splat) = splat else { continue };
         let [p, q, r] = splat.root;
         let squared = 2.0 * (splat.strength / CUTOFF).ln();
         // θ → offset with (u, v) = (cos θ, sin θ)
@@ -272,7 +200,7 @@ fn reach_is_the_box_of_the_ellipse_of_the_cutoff() {
 fn a_gaussian_at_a_limit_lies_behind_it() {
     let camera = axis_camera();
     let mut gaussian = Flat::default();
-    gaussian.push([0.0, 0.0, 2.0], [1.0, 0.0, 0.0, 0.0], [-2.0; 3], 1.0);
+    gaussian.push_turned([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [-2.0; 3], 1.0, COLOUR);
     let pixels = camera.width * camera.height;
     let weight_of = |limits: [f64; 2]| {
         let planes: Vec<f64> = limits.iter().flat_map(|&limit| vec![limit; pixels]).collect();
@@ -290,11 +218,27 @@ fn a_gaussian_at_a_limit_lies_behind_it() {
 fn no_gaussians_sum_to_nothing() {
     let camera = axis_camera();
     let limits = image(&random_limits(3, 2.0, &camera, 4), 3, &camera);
-    let Leaves { gaussians, colours } = Flat::default().leaves();
+    let (gaussians, colours) = Flat::default().gaussians();
     let sums = splat(&gaussians, &colours, &limits, &camera).unwrap();
     assert!(values(&sums).iter().all(|s| *s == 0.0));
     assert_eq!(sums.dims(), [3, 4, camera.height, camera.width]);
     assert_eq!(contributions(&gaussians, &colours, &limits, &limits, &camera).unwrap().dims(), [0]);
+}
+
+/// Compares the gradients of weighted sums with central differences.
+fn check_gradients(name: &str, flat: &Flat, camera: &Camera) {
+    let limits = image(&random_limits(3, 2.5, camera, 5), 3, camera);
+    let weights = weights(9, [3, 4, camera.height, camera.width]);
+    let loss = |sums: Tensor<4>| (sums * weights.clone()).sum();
+    let (g, colours) = flat.gaussians();
+    let gradients = loss(splat(&g, &colours, &limits, camera).unwrap()).backward();
+    for (i, leaf) in [&g.positions, &g.quaternions, &g.log_scales, &g.opacities, &colours].into_iter().enumerate() {
+        let found = values(&leaf.grad(&gradients).unwrap());
+        check(&format!("{name}: {}", NAMES[i]), &flat.0[i], &found, 1e-6, |moved| {
+            let flat = Flat(replaced(&flat.0, i, moved), Vec::new());
+            values(&loss(flat.splat(&limits, camera)))[0]
+        });
+    }
 }
 
 #[test]
@@ -302,32 +246,13 @@ fn gradients_of_the_sums_are_central_differences() {
     let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
     let mut edges = Flat::default();
     // a needle, one larger than the image, one outside where the Jacobian is clamped, one too thin to be undimmed
-    edges.push([0.1, 0.0, 2.0], [0.9, 0.3, -0.2, 0.1], [-0.7, -4.0, -5.0], 1.3);
-    edges.push([-0.3, 0.2, 3.0], [0.5, -0.3, 0.6, 0.2], [0.3, 0.6, 0.1], 0.8);
-    edges.push([1.6, 0.9, 2.0], [0.1, 0.8, 0.2, 0.4], [-0.6, -0.3, -0.9], 0.9);
-    edges.push([0.2, -0.2, 2.0], [0.1, 0.3, 0.2, 0.4], [-8.0, -9.0, -9.5], 1.9);
+    edges.push_turned([0.9, 0.3, -0.2, 0.1], [0.1, 0.0, 2.0], [-0.7, -4.0, -5.0], 1.3, COLOUR);
+    edges.push_turned([0.5, -0.3, 0.6, 0.2], [-0.3, 0.2, 3.0], [0.3, 0.6, 0.1], 0.8, COLOUR);
+    edges.push_turned([0.1, 0.8, 0.2, 0.4], [1.6, 0.9, 2.0], [-0.6, -0.3, -0.9], 0.9, COLOUR);
+    edges.push_turned([0.1, 0.3, 0.2, 0.4], [0.2, -0.2, 2.0], [-8.0, -9.0, -9.5], 1.9, COLOUR);
     let (random, random_camera) = Flat::random(31, &recipe);
-    for (gaussians, camera) in [(random, random_camera), (edges, axis_camera())] {
-        let limits = image(&random_limits(3, 2.5, &camera, 5), 3, &camera);
-        let shape = [3, 4, camera.height, camera.width];
-        let weights = leaf(&Random::new(9).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
-        let loss = |sums: Tensor<4>| (sums * weights.clone()).sum();
-        let leaves = gaussians.leaves();
-        let sums = splat(&leaves.gaussians, &leaves.colours, &limits, &camera).unwrap();
-        let gradients = loss(sums).backward();
-        let g = &leaves.gaussians;
-        let found = [&g.positions, &g.quaternions, &g.log_scales].map(|t| values(&t.grad(&gradients).unwrap()));
-        let [positions, quaternions, log_scales] = found;
-        let opacities = values(&g.opacities.grad(&gradients).unwrap());
-        let colours = values(&leaves.colours.grad(&gradients).unwrap());
-        for (i, found) in [positions, quaternions, log_scales, opacities, colours].iter().enumerate() {
-            check(NAMES[i], &gaussians.0[i], found, 1e-6, |moved| {
-                let mut gaussians = gaussians.clone();
-                gaussians.0[i] = moved.to_vec();
-                values(&loss(gaussians.splat(&limits, &camera)))[0]
-            });
-        }
-    }
+    check_gradients("random", &random, &random_camera);
+    check_gradients("edges", &edges, &axis_camera());
 }
 
 /// A camera whose principal point moves, so that the projected centre of a Gaussian in the middle does.
@@ -336,16 +261,15 @@ fn the_probe_collects_what_the_sums_want_of_the_projected_centre() {
     const STEP: f64 = 1e-6;
     let (camera, shapes) = (axis_camera(), [[-1.2, -2.0, -1.5], [-0.5, -4.0, -3.0], [-4.5, -4.6, -4.4]]);
     let limits = image(&vec![f64::INFINITY; camera.width * camera.height], 1, &camera);
-    let shape = [1, 4, camera.height, camera.width];
-    let weights = leaf(&Random::new(9).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
+    let weights = weights(9, [1, 4, camera.height, camera.width]);
     for (filter, log_scales) in [ScreenFilter::Compensated, ScreenFilter::Plain]
         .into_iter()
         .flat_map(|filter| shapes.map(|shape| (filter, shape)))
     {
         let mut gaussian = Flat::default();
-        gaussian.push([0.03, -0.05, 2.0], [0.7, 0.2, -0.4, 0.3], log_scales, 0.8);
+        gaussian.push_turned([0.7, 0.2, -0.4, 0.3], [0.03, -0.05, 2.0], log_scales, 0.8, COLOUR);
         let loss = |probe: Option<&Tensor<2>>, camera: &Camera| {
-            let Leaves { gaussians, colours } = gaussian.leaves();
+            let (gaussians, colours) = gaussian.gaussians();
             (splat_probed(&gaussians, &colours, &limits, probe, camera, filter).unwrap() * weights.clone()).sum()
         };
         let probe = leaf(&[0.0; 2], [1, 2], &device());
@@ -366,7 +290,7 @@ fn the_probe_collects_what_the_sums_want_of_the_projected_centre() {
 fn a_probe_of_another_shape_is_refused() {
     let camera = axis_camera();
     let limits = image(&random_limits(1, 2.0, &camera, 4), 1, &camera);
-    let Leaves { gaussians, colours } = every_kind(7).leaves();
+    let (gaussians, colours) = every_kind(7).gaussians();
     let error = splat_probed(&gaussians, &colours, &limits, Some(&colours), &camera, ScreenFilter::Plain).unwrap_err();
     assert_eq!(error.to_string(), "tensor `probe` has shape [7, 3], expected [7, 2]");
 }

@@ -1,6 +1,7 @@
-use burn::tensor::{DType, Int, Tensor, TensorData};
+use burn::tensor::{Int, Tensor};
 
 use super::{SurfelLoss, SurfelLossWeights, surfel_loss};
+use crate::ops::fixtures::{constant, layers};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
@@ -50,14 +51,15 @@ impl View {
         [of(&self.image), of(&self.transmittance)]
     }
 
+    fn ids(&self) -> Tensor<3, Int> {
+        layers(&self.ids, constant(&vec![0.0; self.ids.len()], [self.layers, HEIGHT, WIDTH])).ids
+    }
+
     fn loss(&self, [image, transmittance]: &[Tensor<3>; 2], weights: &SurfelLossWeights) -> SurfelLoss {
-        let device = device();
-        let ids = TensorData::new(self.ids.clone(), [self.layers, HEIGHT, WIDTH]);
-        let ids = Tensor::<3, Int>::from_data(ids, (&device, DType::I32));
-        let target = leaf(&self.target, [3, HEIGHT, WIDTH], &device).detach();
+        let target = constant(&self.target, [3, HEIGHT, WIDTH]);
         let ignored: Vec<f64> = (0..PLANE).map(|pixel| f64::from(u8::from(is_ignored(pixel)))).collect();
-        let ignored = leaf(&ignored, [1, HEIGHT, WIDTH], &device).detach();
-        surfel_loss(image, transmittance, &ids, &target, self.masked.then_some(&ignored), weights).unwrap()
+        let ignored = constant(&ignored, [1, HEIGHT, WIDTH]);
+        surfel_loss(image, transmittance, &self.ids(), &target, self.masked.then_some(&ignored), weights).unwrap()
     }
 
     /// L_s and L_t by their formulas.
@@ -122,9 +124,7 @@ fn a_term_of_weight_0_is_not_part_of_the_sum() {
 fn tensors_that_do_not_fit_are_refused_by_name() {
     let view = View::random(2, false);
     let [image, transmittance] = view.leaves();
-    let ids =
-        Tensor::<3, Int>::from_data(TensorData::new(view.ids.clone(), [2, HEIGHT, WIDTH]), (&device(), DType::I32));
-    let weights = view.weights(1.0, 1.0);
+    let (ids, weights) = (view.ids(), view.weights(1.0, 1.0));
     let planes = image.clone().slice([0..2, 0..HEIGHT, 0..WIDTH]);
     let refused = |image: &Tensor<3>, transmittance: &Tensor<3>, target: &Tensor<3>| {
         surfel_loss(image, transmittance, &ids, target, None, &weights).unwrap_err().to_string()

@@ -161,6 +161,7 @@ impl Primitive {
         let BlendOptions { form, filter, .. } = *options;
         let of = CameraOf::<f64>::new(camera);
         let centre = of.transform(p.position);
+        let axes: M3<f64> = std::array::from_fn(|d| apply(&of.rotation, column(&rotation(p.quaternion), d)));
         let shape = match form {
             Form::Ellipsoids => Shape::Ellipse(Splat::new(&of, p, colour, filter)?),
             Form::Discs => {
@@ -174,7 +175,6 @@ impl Primitive {
                 Shape::Student { splat, opacity: p.opacity, degrees: p.degrees_of_freedom, bound }
             }
             Form::Whitened => {
-                let axes: M3<f64> = std::array::from_fn(|d| apply(&of.rotation, column(&rotation(p.quaternion), d)));
                 let radius = (2.0 * (p.opacity / CUTOFF).ln()).max(0.0).sqrt();
                 let ahead = (0..3).map(|d| (axes[d][2] * p.log_scales[d].exp()).powi(2)).sum::<f64>().sqrt();
                 if p.opacity < CUTOFF || centre[2] - radius * ahead <= camera.near {
@@ -185,7 +185,6 @@ impl Primitive {
                 Shape::Whitened { whitening, centre, opacity: p.opacity, intrinsics }
             }
         };
-        let axes: M3<f64> = std::array::from_fn(|d| apply(&of.rotation, column(&rotation(p.quaternion), d)));
         let [s, t, r] = p.log_scales;
         let axis = match form {
             Form::Discs => 2,
@@ -193,8 +192,7 @@ impl Primitive {
             _ if t <= r => 1,
             _ => 2,
         };
-        let normal = apply(&of.rotation, column(&rotation(p.quaternion), axis));
-        let normal = if dot(normal, centre) > 0.0 { scale(normal, -1.0) } else { normal };
+        let normal = if dot(axes[axis], centre) > 0.0 { scale(axes[axis], -1.0) } else { axes[axis] };
         let precision = p.log_scales.map(|scale| scale.exp().max(1e-3).powi(-2));
         let inverse_covariance = std::array::from_fn(|i| {
             std::array::from_fn(|j| (0..3).map(|d| axes[d][i] * precision[d] * axes[d][j]).sum())
@@ -231,6 +229,27 @@ fn by_ray(primitives: &[Primitive], camera: &Camera, at: [f64; 2]) -> Vec<Primit
     met.into_iter().map(|(_, primitive)| primitive).collect()
 }
 
+/// w of every fragment of a pixel, of α and z each, in order, up to where it ends; and its median depth.
+fn sorted_weights(fragments: &[[f64; 2]], options: &BlendOptions) -> (Vec<f64>, f64) {
+    let (mut weights, mut median_depth, mut through) = (Vec::new(), 0.0, 1.0);
+    for [alpha, z] in fragments {
+        let behind = through * (1.0 - alpha);
+        let ends = behind < options.min_transmittance;
+        if ends && options.form != Form::Whitened {
+            break;
+        }
+        weights.push(alpha * through);
+        if median_depth == 0.0 && behind <= 0.5 {
+            median_depth = *z;
+        }
+        through = behind;
+        if ends {
+            break;
+        }
+    }
+    (weights, median_depth)
+}
+
 /// w of every fragment of a pixel, of α and z each (HTGS).
 fn hybrid_weights(fragments: &[[f64; 2]], transparency: Transparency, options: &BlendOptions) -> Vec<f64> {
     let mut order: Vec<usize> = (0..fragments.len()).filter(|&i| fragments[i][0] >= CORE_ALPHA).collect();
@@ -253,20 +272,21 @@ fn hybrid_weights(fragments: &[[f64; 2]], transparency: Transparency, options: &
     weights
 }
 
-/// A pixel of a [`Transparency`] other than [`Transparency::Sorted`], without median depth.
-fn hybrid_pixel(
-    primitives: &[Primitive],
-    camera: &Camera,
-    transparency: Transparency,
-    options: &BlendOptions,
-    at: [f64; 2],
-) -> Pixel {
+/// Blends sorted `primitives` at a point of the image; in the order of rays as if queues had no end. There is no median depth of
+/// a [`Transparency`] other than [`Transparency::Sorted`].
+pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, at: [f64; 2]) -> Pixel {
     let mapped = |z: f64| far(camera.near) / (far(camera.near) - camera.near) * (1.0 - camera.near / z);
+    let resorted = (options.order == BlendOrder::Rays).then(|| by_ray(primitives, camera, at));
+    let primitives = resorted.as_deref().unwrap_or(primitives);
     let seen = primitives.iter().filter_map(|primitive| Some((primitive, primitive.shape.fragment(at)?)));
-    let (seen, fragments): (Vec<&Primitive>, Vec<[f64; 2]>) =
-        seen.map(|(primitive, (alpha, z))| (primitive, [alpha.min(options.max_alpha), z])).unzip();
-    let weights = hybrid_weights(&fragments, transparency, options);
-    let mut out = Pixel::default();
+    let (seen, fragments): (Vec<&Primitive>, Vec<[f64; 2]>) = seen
+        .map(|(primitive, (alpha, z))| (primitive, [alpha.clamp(-options.max_alpha, options.max_alpha), z]))
+        .unzip();
+    let (weights, median_depth) = match options.order.transparency() {
+        None | Some(Transparency::Sorted) => sorted_weights(&fragments, options),
+        Some(transparency) => (hybrid_weights(&fragments, transparency, options), 0.0),
+    };
+    let mut out = Pixel { median_depth, ..Pixel::default() };
     for (i, &weight) in weights.iter().enumerate() {
         for c in 0..3 {
             out.planes[c] += weight * seen[i].colour[c];
@@ -279,48 +299,6 @@ fn hybrid_pixel(
             out.planes[DISTORTION_PLANE] += weight * weights[j] * apart.powi(2);
         }
     }
-    out
-}
-
-/// Blends sorted `primitives` at a point of the image; in the order of rays as if queues had no end.
-pub fn pixel(primitives: &[Primitive], camera: &Camera, options: &BlendOptions, at: [f64; 2]) -> Pixel {
-    if let BlendOrder::Whitened(transparency) = options.order
-        && transparency != Transparency::Sorted
-    {
-        return hybrid_pixel(primitives, camera, transparency, options, at);
-    }
-    let mapped = |z: f64| far(camera.near) / (far(camera.near) - camera.near) * (1.0 - camera.near / z);
-    let mut out = Pixel::default();
-    let mut blended: Vec<[f64; 2]> = Vec::new();
-    let mut through = 1.0;
-    let resorted = (options.order == BlendOrder::Rays).then(|| by_ray(primitives, camera, at));
-    for Primitive { shape, colour, normal, .. } in resorted.as_deref().unwrap_or(primitives) {
-        let Some((alpha, z)) = shape.fragment(at) else { continue };
-        let alpha = alpha.clamp(-options.max_alpha, options.max_alpha);
-        let behind = through * (1.0 - alpha);
-        let ends = behind < options.min_transmittance;
-        if ends && options.form != Form::Whitened {
-            break;
-        }
-        let weight = alpha * through;
-        for c in 0..3 {
-            out.planes[c] += weight * colour[c];
-            out.planes[NORMAL_PLANE + c] += weight * normal[c];
-        }
-        out.planes[DEPTH_PLANE] += weight * z;
-        for [other, m] in &blended {
-            out.planes[DISTORTION_PLANE] += weight * other * (mapped(z) - m).powi(2);
-        }
-        blended.push([weight, mapped(z)]);
-        if out.median_depth == 0.0 && behind <= 0.5 {
-            out.median_depth = z;
-        }
-        through = behind;
-        if ends {
-            break;
-        }
-    }
-    out.planes[3] = 1.0 - through;
     out
 }
 

@@ -9,31 +9,31 @@ pub fn check_gradients(flat: &Flat, camera: &Camera, options: &BlendOptions, out
         for (of, parameters) in flat.0.iter().enumerate() {
             let name = format!("{output:?} of {:?} by {} with respect to {}", options.form, options.order, NAMES[of]);
             check(&name, parameters, &found[of], step, |moved| {
-                let mut flat = flat.clone();
-                flat.0[of] = moved.to_vec();
+                let flat = Flat(replaced(&flat.0, of, moved), flat.1.clone());
                 values(&flat.leaves().loss(&[*output], camera, options))[0]
             });
         }
     }
 }
 
-#[test]
-fn gradients_of_every_output_of_ellipsoids_are_central_differences() {
+/// Checks the gradients of every output of some random Gaussians and of a scene.
+pub fn check_outputs(scene: &Flat, options: &BlendOptions) {
     let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
     let (random, random_camera) = Flat::random(31, &recipe);
+    check_gradients(&random, &random_camera, options, &OUTPUTS, 1e-6);
+    check_gradients(scene, &axis_camera(), options, &OUTPUTS, 1e-6);
+}
+
+#[test]
+fn gradients_of_every_output_of_ellipsoids_are_central_differences() {
     for options in [with_maps(Form::Ellipsoids), plainly_filtered()] {
-        check_gradients(&random, &random_camera, &options, &OUTPUTS, 1e-6);
-        check_gradients(&capped(), &axis_camera(), &options, &OUTPUTS, 1e-6);
+        check_outputs(&capped(), &options);
     }
 }
 
 #[test]
 fn gradients_of_every_output_of_discs_are_central_differences() {
-    let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
-    let (random, random_camera) = Flat::random(31, &recipe);
-    let options = with_maps(Form::Discs);
-    check_gradients(&random, &random_camera, &options, &OUTPUTS, 1e-6);
-    check_gradients(&slanted(), &axis_camera(), &options, &OUTPUTS, 1e-6);
+    check_outputs(&slanted(), &with_maps(Form::Discs));
 }
 
 #[test]

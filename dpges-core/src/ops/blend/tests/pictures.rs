@@ -13,19 +13,7 @@ fn blending_equals_sorting_at_every_pixel() {
     let options = [(with_maps(Form::Ellipsoids), 1e-11), (plainly_filtered(), 1e-11), (with_maps(Form::Discs), 1e-9)];
     for (options, tolerance) in options {
         for (flat, camera) in &scenes {
-            let expected = images_of_pixels(&dense(&flat.primitives(camera, &options), camera, &options));
-            assert!(expected[1].iter().any(|alpha| *alpha > 0.5));
-            let leaves = flat.leaves();
-            let found = images(&leaves.blend(camera, &options));
-            assert_eq!(found.len(), expected.len());
-            for (found, expected) in found.iter().zip(&expected) {
-                assert_eq!(found.len(), expected.len());
-                for (a, b) in found.iter().zip(expected) {
-                    approx::assert_relative_eq!(*a, *b, epsilon = tolerance, max_relative = tolerance);
-                }
-            }
-            let without_maps = BlendOptions { maps: false, ..options };
-            assert_eq!(images(&leaves.blend(camera, &without_maps)), found[..2]);
+            check_pictures(flat, camera, &options, tolerance, 0);
         }
     }
 }
@@ -196,20 +184,22 @@ fn the_number_of_threads_does_not_matter() {
 #[test]
 fn options_outside_their_range_are_refused() {
     let leaves = capped().leaves();
-    let refused = |options: BlendOptions| {
-        blend(&leaves.gaussians, &leaves.colours, None, &axis_camera(), &options).unwrap_err().to_string()
-    };
-    let opaque = BlendOptions { max_alpha: 1.0, ..BlendOptions::default() };
-    assert_eq!(refused(opaque), "option `max_alpha` is 1, expected a number above 0 and at most 0.9999");
-    let endless = BlendOptions { min_transmittance: 0.0, ..BlendOptions::default() };
-    assert_eq!(refused(endless), "option `min_transmittance` is 0, expected a number between 0 and 1");
-    let discs = BlendOptions { form: Form::Discs, ..by_rays() };
-    assert_eq!(refused(discs), "option `order` is rays, expected centres for discs");
-    let students = BlendOptions { form: Form::Students, ..by_rays() };
-    assert_eq!(refused(students), "option `order` is rays, expected centres for Student's t kernels");
-    let whitened = BlendOptions { form: Form::Whitened, ..by_rays() };
-    let expected = "option `order` is rays, expected hybrid, nearest, sorted or tail for whitened Gaussians";
-    assert_eq!(refused(whitened), expected);
+    let default = BlendOptions::default();
+    let of_order = |form: Form| BlendOptions { form, ..by_rays() };
+    let cases = [
+        (BlendOptions { max_alpha: 1.0, ..default }, "`max_alpha` is 1, expected a number above 0 and at most 0.9999"),
+        (
+            BlendOptions { min_transmittance: 0.0, ..default },
+            "`min_transmittance` is 0, expected a number between 0 and 1",
+        ),
+        (of_order(Form::Discs), "`order` is rays, expected centres for discs"),
+        (of_order(Form::Students), "`order` is rays, expected centres for Student's t kernels"),
+        (of_order(Form::Whitened), "`order` is rays, expected hybrid, nearest, sorted or tail for whitened Gaussians"),
+    ];
+    for (options, expected) in cases {
+        let error = blend(&leaves.gaussians, &leaves.colours, None, &axis_camera(), &options).unwrap_err();
+        assert_eq!(error.to_string(), format!("option {expected}"));
+    }
     assert!(BlendOptions { max_alpha: f64::NAN, ..BlendOptions::default() }.validate().is_err());
 }
 

@@ -1,24 +1,35 @@
 use super::*;
 
+/// Compares some outputs in f32 and their gradients with those in f64.
+pub fn check_single(
+    flat: &Flat,
+    camera: &Camera,
+    options: &BlendOptions,
+    outputs: &[Output],
+    [of_output, of_gradient]: [f64; 2],
+) {
+    let all = [flat.leaves_on(&device(), DType::F32), flat.leaves()];
+    let name = format!("{:?} by {}", options.form, options.order);
+    let [found, expected] = all.each_ref().map(|leaves| leaves.blend(camera, options));
+    for output in outputs {
+        let distance = relative_l2(&values(output.of(&found)), &values(output.of(&expected)));
+        assert!(distance < of_output, "{output:?} of {name}: {distance:e}");
+    }
+    let [found, expected] = all.each_ref().map(|leaves| leaves.gradients(outputs, camera, options));
+    for (attribute, (found, expected)) in NAMES.iter().zip(found.iter().zip(&expected)) {
+        let distance = relative_l2(found, expected);
+        assert!(distance < of_gradient, "{name} with respect to {attribute}: {distance:e}");
+    }
+}
+
 #[test]
 fn single_precision_is_close_to_double() {
     let recipe = Recipe { surfels: 0, gaussians: 300, width: 61, height: 40, ..Recipe::default() };
     let (flat, camera) = Flat::random(14, &recipe);
-    let (single, double) = (flat.leaves_on(&device(), DType::F32), flat.leaves());
     // z of a hit has no bound where a disc is seen edge-on
     let bounded: &[Output] = &[Output::Colour, Output::Alpha, Output::Normal];
     for (form, outputs) in [(Form::Ellipsoids, OUTPUTS.as_slice()), (Form::Discs, bounded)] {
-        let options = with_maps(form);
-        let [found, expected] = [&single, &double].map(|leaves| leaves.blend(&camera, &options));
-        for output in outputs {
-            let distance = relative_l2(&values(output.of(&found)), &values(output.of(&expected)));
-            assert!(distance < 1e-4, "{output:?} of {form:?}: {distance:e}");
-        }
-        let [found, expected] = [&single, &double].map(|leaves| leaves.gradients(outputs, &camera, &options));
-        for (name, (found, expected)) in NAMES.iter().zip(found.iter().zip(&expected)) {
-            let distance = relative_l2(found, expected);
-            assert!(distance < 1e-2, "{form:?} with respect to {name}: {distance:e}");
-        }
+        check_single(&flat, &camera, &with_maps(form), outputs, [1e-4, 1e-2]);
     }
 }
 

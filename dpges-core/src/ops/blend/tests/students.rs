@@ -1,5 +1,6 @@
 use pulp::Scalar;
 
+use super::gradients::check_gradients;
 use super::*;
 use crate::backend::lanes::Lanes;
 use crate::footprint::gaussian::cpu::student::Student;
@@ -56,33 +57,24 @@ fn pictures_are_those_of_the_definition() {
 fn gradients_of_every_output_are_central_differences() {
     let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
     for (flat, camera) in [(mixed(), axis_camera()), random(31, &recipe)] {
-        let (options, leaves) = (students(true), flat.leaves());
-        let degrees = leaves.gaussians.degrees_of_freedom.clone().unwrap();
+        let options = students(true);
+        check_gradients(&flat, &camera, &options, &OUTPUTS, 1e-6);
+        // of whole numbers the reach jumps, and 1 is the least: neither counts, since α is below the cutoff there
+        let inner: Vec<f64> = flat.1.iter().map(|&degrees| degrees.max(1.0 + 1e-5)).collect();
         for output in OUTPUTS {
-            let gradients = leaves.loss(&[output], &camera, &options).backward();
-            let of = |tensor: &Tensor<2>| values(&tensor.grad(&gradients).unwrap());
-            let g = &leaves.gaussians;
-            let found = [&g.positions, &g.quaternions, &g.log_scales, &g.opacities, &leaves.colours].map(of);
-            let loss = |flat: Flat| values(&flat.leaves().loss(&[output], &camera, &options))[0];
-            for (at, parameters) in flat.0.iter().enumerate() {
-                let name = format!("{output:?} with respect to {}", NAMES[at]);
-                check(&name, parameters, &found[at], 1e-6, |moved| {
-                    let mut flat = flat.clone();
-                    flat.0[at] = moved.to_vec();
-                    loss(flat)
-                });
-            }
-            let found = of(&degrees);
-            // of whole numbers the reach jumps, and 1 is the least: neither counts, since α is below the cutoff there
-            let inner: Vec<f64> = flat.1.iter().map(|&degrees| degrees.max(1.0 + 1e-5)).collect();
-            let from_inner = Flat(flat.0.clone(), inner.clone());
-            let gradients = from_inner.leaves();
-            let again = gradients.loss(&[output], &camera, &options).backward();
-            let of_inner = values(&gradients.gaussians.degrees_of_freedom.unwrap().grad(&again).unwrap());
-            check(&format!("{output:?} with respect to degrees of freedom"), &inner, &of_inner, 1e-6, |moved| {
-                loss(Flat(flat.0.clone(), moved.to_vec()))
+            let loss = |degrees: &[f64]| {
+                let leaves = Flat(flat.0.clone(), degrees.to_vec()).leaves();
+                let loss = leaves.loss(&[output], &camera, &options);
+                (leaves.gaussians.degrees_of_freedom.unwrap(), loss)
+            };
+            let of = |degrees: &[f64]| {
+                let (leaf, loss) = loss(degrees);
+                gradient_of(&leaf, &loss.backward())
+            };
+            check(&format!("{output:?} with respect to degrees of freedom"), &inner, &of(&inner), 1e-6, |moved| {
+                values(&loss(moved).1)[0]
             });
-            assert!(found.iter().any(|&gradient| gradient != 0.0));
+            assert!(of(&flat.1).iter().any(|&gradient| gradient != 0.0));
         }
     }
 }
@@ -90,11 +82,14 @@ fn gradients_of_every_output_are_central_differences() {
 #[test]
 fn many_degrees_of_freedom_are_a_gaussian_kernel() {
     let camera = CameraOf::<f64>::new(&axis_camera());
-    let of = |degrees_of_freedom: f64| {
+    let student = |degrees_of_freedom: f64| {
         let position = [0.0, 0.0, 2.0];
         let (quaternion, log_scales) = ([1.0, 0.0, 0.0, 0.0], [-1.0, -1.5, -1.2]);
         let parameters = Parameters { position, quaternion, log_scales, opacity: 0.8, degrees_of_freedom };
-        let student = Student::new(&camera, &parameters, [0.0; 3]).unwrap();
+        Student::new(&camera, &parameters, [0.0; 3])
+    };
+    let of = |degrees_of_freedom: f64| {
+        let student = student(degrees_of_freedom).unwrap();
         let differences = (0..8).map(|step| {
             let (dx, dy) = (f64::from(step) * 0.7, 1.3);
             let (drawn, weight) = student.weights(Lanes::splat(Scalar::new(), dx), dy);
@@ -104,23 +99,7 @@ fn many_degrees_of_freedom_are_a_gaussian_kernel() {
         differences.fold(0.0, f64::max)
     };
     assert!(of(1e4) < 1e-4 && of(2.0) > 0.05, "{} {}", of(1e4), of(2.0));
-    assert!(
-        Student::new(
-            &camera,
-            &Parameters {
-                degrees_of_freedom: 0.9,
-                ..Parameters {
-                    position: [0.0, 0.0, 2.0],
-                    quaternion: [1.0, 0.0, 0.0, 0.0],
-                    log_scales: [-1.0; 3],
-                    opacity: 0.8,
-                    degrees_of_freedom: 1.0,
-                }
-            },
-            [0.0; 3]
-        )
-        .is_none()
-    );
+    assert!(student(0.9).is_none());
 }
 
 #[test]

@@ -1,4 +1,7 @@
-use super::gradients::check_gradients;
+use super::gradients::{check_gradients, check_outputs};
+use super::precision::check_single;
+use super::probe::assert_same_probe;
+use super::rays::redder_on_sides;
 use super::*;
 use crate::ops::blend::{CORE, CORE_ALPHA, outweighing};
 
@@ -33,18 +36,8 @@ fn scenes_to_blend() -> [(Flat, Camera); 3] {
 fn pictures_are_those_of_their_definition() {
     for options in TRANSPARENCIES.map(hybrid) {
         for (flat, camera) in scenes_to_blend() {
-            let leaves = flat.leaves();
-            let found = images(&leaves.blend(&camera, &options));
-            let expected = images_of_pixels(&dense(&flat.primitives(&camera, &options), &camera, &options));
-            assert!(expected[1].iter().any(|alpha| *alpha > 0.5));
             // all but median depth
-            for (found, expected) in found.iter().zip(&expected).take(5) {
-                for (a, b) in found.iter().zip(expected) {
-                    approx::assert_relative_eq!(*a, *b, epsilon = 1e-11, max_relative = 1e-11);
-                }
-            }
-            let without_maps = BlendOptions { maps: false, ..options };
-            assert_eq!(images(&leaves.blend(&camera, &without_maps)), found[..2]);
+            check_pictures(&flat, &camera, &options, 1e-11, 1);
         }
     }
 }
@@ -81,11 +74,8 @@ fn pictures_do_not_depend_on_the_order_of_the_rows() {
 
 #[test]
 fn gradients_of_every_transparency_are_central_differences() {
-    let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
-    let (random, random_camera) = Flat::random(31, &recipe);
     for options in TRANSPARENCIES.map(hybrid) {
-        check_gradients(&random, &random_camera, &options, &OUTPUTS, 1e-6);
-        check_gradients(&capped(), &axis_camera(), &options, &OUTPUTS, 1e-6);
+        check_outputs(&capped(), &options);
     }
 }
 
@@ -101,18 +91,9 @@ fn gradients_of_a_crowd_are_central_differences() {
 
 #[test]
 fn what_crosses_is_in_front_on_its_side() {
-    let mut flat = Flat::default();
-    let turned = |half: f64| [half.cos(), 0.0, half.sin(), 0.0];
-    flat.push_turned(turned(0.3), [0.0, 0.0, 2.0], [-0.6, -2.5, -3.5], 0.9, [0.9, 0.1, 0.2]);
-    flat.push_turned(turned(-0.3), [0.0, 0.0, 2.02], [-0.6, -2.5, -3.5], 0.9, [0.1, 0.8, 0.3]);
-    let camera = axis_camera();
-    let redder = |transparency: Transparency, column: usize| {
-        let colours = images(&flat.leaves().blend(&camera, &hybrid(transparency)))[0].clone();
-        let at = 14 * camera.width + column;
-        colours[at] > colours[camera.width * camera.height + at]
-    };
-    assert!(redder(Transparency::Sorted, 10) && redder(Transparency::Sorted, 26));
-    assert!(redder(Transparency::Hybrid, 10) != redder(Transparency::Hybrid, 26));
+    assert_eq!(redder_on_sides(&hybrid(Transparency::Sorted)), [true; 2]);
+    let [left, right] = redder_on_sides(&hybrid(Transparency::Hybrid));
+    assert!(left != right);
 }
 
 #[test]
@@ -172,11 +153,7 @@ fn the_probe_collects_what_every_pixel_wants_of_the_centre() {
                 expected[4 * row + 3] += wants.abs();
             }
         }
-        let largest = expected.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-        assert!(largest > 0.1);
-        for (a, b) in found[5].iter().zip(&expected) {
-            approx::assert_relative_eq!(*a, *b, epsilon = 1e-6 * largest, max_relative = 1e-5);
-        }
+        assert!(assert_same_probe(&found[5], &expected) > 0.1);
     }
 }
 
@@ -184,19 +161,8 @@ fn the_probe_collects_what_every_pixel_wants_of_the_centre() {
 fn single_precision_is_close_to_double_and_so_are_its_gradients() {
     let recipe = Recipe { surfels: 0, gaussians: 300, width: 61, height: 40, ..Recipe::default() };
     let (flat, camera) = Flat::random(14, &recipe);
-    let (single, double) = (flat.leaves_on(&device(), DType::F32), flat.leaves());
     for options in TRANSPARENCIES.map(hybrid) {
-        let [found, expected] = [&single, &double].map(|leaves| images(&leaves.blend(&camera, &options)));
-        for (found, expected) in found.iter().zip(&expected).take(4) {
-            let distance = relative_l2(found, expected);
-            assert!(distance < 1e-2, "{}: {distance:e}", options.order);
-        }
-        let outputs = &OUTPUTS[..4];
-        let [found, expected] = [&single, &double].map(|leaves| leaves.gradients(outputs, &camera, &options));
-        for (name, (found, expected)) in NAMES.iter().zip(found.iter().zip(&expected)) {
-            let distance = relative_l2(found, expected);
-            assert!(distance < 3e-2, "{} with respect to {name}: {distance:e}", options.order);
-        }
+        check_single(&flat, &camera, &options, &OUTPUTS[..4], [1e-2, 3e-2]);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Splatting through lenses of every kind.
 
 use super::*;
-use crate::testing::lenses::{behind, every_model};
+use crate::ops::fixtures::cameras_with_lenses;
 
 /// Gaussians all over the picture of a camera, up to its corners and a little beyond.
 fn all_over(camera: &Camera, seed: u64, count: usize) -> Flat {
@@ -12,58 +12,30 @@ fn all_over(camera: &Camera, seed: u64, count: usize) -> Flat {
         let distance = random.between(1.0, 3.0);
         let scales = std::array::from_fn(|_| (distance * random.between(0.03, 0.25)).ln());
         let position = camera.unproject(x, y, distance).to_array();
-        flat.push(position, std::array::from_fn(|_| random.normal()), scales, random.between(0.2, 1.2));
+        let quaternion = std::array::from_fn(|_| random.normal());
+        flat.push_turned(quaternion, position, scales, random.between(0.2, 1.2), COLOUR);
     }
     flat
 }
 
-fn cameras() -> Vec<(&'static str, Camera)> {
-    every_model().into_iter().map(|(name, lens)| (name, behind(axis_camera(), lens, 170.0))).collect()
-}
-
 #[test]
 fn tiled_sums_and_contributions_equal_dense_ones() {
-    for (seed, (name, camera)) in (60..).zip(cameras()) {
-        let gaussians = all_over(&camera, seed, 80);
-        let limits = random_limits(3, 2.0, &camera, 1);
-        let gates = Random::new(2).numbers(limits.len(), 0.0, 1.0);
-        let (sums, largest) = gaussians.splat_densely(&limits, &gates, &camera);
-        assert!(sums.iter().filter(|s| **s != 0.0).count() > sums.len() / 4, "{name}");
-        let (limits, gates) = (image(&limits, 3, &camera), image(&gates, 3, &camera));
-        assert_close(&values(&gaussians.splat(&limits, &camera)), &sums, 1e-10);
-        let Leaves { gaussians, colours } = gaussians.leaves();
-        assert_close(&values(&contributions(&gaussians, &colours, &limits, &gates, &camera).unwrap()), &largest, 1e-10);
+    for (seed, (name, camera)) in (60..).zip(cameras_with_lenses(axis_camera())) {
+        check_against_dense(name, &all_over(&camera, seed, 80), 3, 2.0, &camera, 1e-10);
     }
 }
 
 #[test]
 fn gradients_of_the_sums_are_central_differences() {
-    for (seed, (name, camera)) in (70..).zip(cameras()) {
-        let gaussians = all_over(&camera, seed, 8);
-        let limits = image(&random_limits(3, 2.5, &camera, 5), 3, &camera);
-        let shape = [3, 4, camera.height, camera.width];
-        let weights = leaf(&Random::new(9).numbers(shape.iter().product(), -1.0, 1.0), shape, &device()).detach();
-        let loss = |sums: Tensor<4>| (sums * weights.clone()).sum();
-        let leaves = gaussians.leaves();
-        let sums = splat(&leaves.gaussians, &leaves.colours, &limits, &camera).unwrap();
-        let gradients = loss(sums).backward();
-        let g = &leaves.gaussians;
-        let found = [&g.positions, &g.quaternions, &g.log_scales, &g.opacities, &leaves.colours]
-            .map(|tensor| values(&tensor.grad(&gradients).unwrap()));
-        for (i, found) in found.iter().enumerate() {
-            check(&format!("{name}: {}", NAMES[i]), &gaussians.0[i], found, 1e-6, |moved| {
-                let mut gaussians = gaussians.clone();
-                gaussians.0[i] = moved.to_vec();
-                values(&loss(gaussians.splat(&limits, &camera)))[0]
-            });
-        }
+    for (seed, (name, camera)) in (70..).zip(cameras_with_lenses(axis_camera())) {
+        check_gradients(name, &all_over(&camera, seed, 8), &camera);
     }
 }
 
 /// The ellipse of a small Gaussian lies where the lens shows the Gaussian, and has the shape that the lens gives it.
 #[test]
 fn a_small_gaussian_looks_like_the_points_of_its_ellipsoid() {
-    for (name, camera) in cameras() {
+    for (name, camera) in cameras_with_lenses(axis_camera()) {
         let large = camera.resized(40 * 64, 30 * 64);
         for (x, y) in [(0.1, 0.2), (0.5, 0.5), (0.9, 0.8)] {
             let (x, y) = (x * large.width as f64, y * large.height as f64);
