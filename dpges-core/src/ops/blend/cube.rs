@@ -21,6 +21,7 @@ use cubecl::prelude::*;
 use self::fold::Layout;
 use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_projected};
 use self::gather::gather;
+use self::hybrid::blend_pixel;
 use self::rays::{PIXEL_STATE, walk_rays};
 use super::autodiff::BlendState;
 use super::{BlendInput, BlendOps, BlendOptions, BlendOutput, Form, OutweighingOps, far};
@@ -191,7 +192,7 @@ fn blend_met(
     end
 }
 
-/// The forward pass with one order for all pixels, or, in that of rays, with the table of these in the place of the shapes.
+/// The forward pass; in the order of rays with the table of these in the place of the shapes.
 #[cube(launch)]
 fn blend_kernel(
     shapes: &[f32],
@@ -213,31 +214,36 @@ fn blend_kernel(
     }
     let list = TileList::own(offsets, capacity, count);
     let tile = CUBE_POS as u32;
-    let mut state = zeros(PIXEL_STATE);
-    state[THROUGH] = 1.0f32;
-    if comptime!(order == BlendOrder::Rays) {
-        walk_rays(&mut state, shapes, features, list, ids, planes, 0u32, tile, view, thresholds, maps, false);
-    } else if comptime!(form.is_projected()) {
-        let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * SPLAT));
-        let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
-        blend_projected(
-            &mut state,
-            &mut staged,
-            &mut masks,
-            shapes,
-            features,
-            list,
-            ids,
-            tile,
-            view,
-            thresholds,
-            form,
-            maps,
-        );
+    let transparency = comptime!(order.transparency().unwrap_or(Transparency::Sorted));
+    if comptime!(transparency != Transparency::Sorted) {
+        blend_pixel(planes, median_depth, shapes, features, list, ids, tile, view, thresholds, transparency, maps);
     } else {
-        blend_met(&mut state, shapes, features, list, ids, tile, view, thresholds, form, maps);
+        let mut state = zeros(PIXEL_STATE);
+        state[THROUGH] = 1.0f32;
+        if comptime!(order == BlendOrder::Rays) {
+            walk_rays(&mut state, shapes, features, list, ids, planes, 0u32, tile, view, thresholds, maps, false);
+        } else if comptime!(form.is_projected()) {
+            let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * SPLAT));
+            let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
+            blend_projected(
+                &mut state,
+                &mut staged,
+                &mut masks,
+                shapes,
+                features,
+                list,
+                ids,
+                tile,
+                view,
+                thresholds,
+                form,
+                maps,
+            );
+        } else {
+            blend_met(&mut state, shapes, features, list, ids, tile, view, thresholds, form, maps);
+        }
+        write_pixel(&state, planes, median_depth, view, tile, maps);
     }
-    write_pixel(&state, planes, median_depth, view, tile, maps);
 }
 
 /// Writes the sums of the pixel of this unit in `tile`.
@@ -277,29 +283,25 @@ impl BlendOps for CubeBackend {
         let (fragments, lists) = Fragments::new(&gaussians, &degrees_of_freedom, &camera, &options);
         let planes = empty_f32(like, [options.planes(), height, width]);
         let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
-        match options.order {
-            BlendOrder::Whitened(transparency) if transparency != Transparency::Sorted => {
-                hybrid::blend(&fragments, &lists, [&planes, &median_depth], &camera, &options);
-            }
-            order => blend_kernel::launch(
-                &like.client.clone(),
-                cubes(TileGrid::new(width, height).len()),
-                cube_dim(),
-                buffer(if order == BlendOrder::Rays { fragments.by_rays() } else { &fragments.shapes }),
-                buffer(&fragments.features),
-                buffer(&lists.offsets),
-                buffer(&lists.primitives),
-                buffer(&planes),
-                buffer(&median_depth),
-                CameraUniforms::launch(&camera),
-                Thresholds::launch(&camera, &options),
-                lists.primitives.shape()[0] as u32,
-                count as u32,
-                options.form,
-                order,
-                options.maps,
-            ),
-        }
+        let shapes = if options.order == BlendOrder::Rays { fragments.by_rays() } else { &fragments.shapes };
+        blend_kernel::launch(
+            &like.client.clone(),
+            cubes(TileGrid::new(width, height).len()),
+            cube_dim(),
+            buffer(shapes),
+            buffer(&fragments.features),
+            buffer(&lists.offsets),
+            buffer(&lists.primitives),
+            buffer(&planes),
+            buffer(&median_depth),
+            CameraUniforms::launch(&camera),
+            Thresholds::launch(&camera, &options),
+            lists.primitives.shape()[0] as u32,
+            count as u32,
+            options.form,
+            options.order,
+            options.maps,
+        );
         BlendOutput { planes, median_depth, lists }
     }
 }

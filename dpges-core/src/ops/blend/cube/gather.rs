@@ -16,7 +16,7 @@ use cubecl::prelude::*;
 use super::back::{go_back, pixel_grad, spread_of};
 use super::fold::{ENTRIES, GROUP, Layout, NUMBERS, find_furthest, fold_entries, list_in_band};
 use super::fragments::{FEATURES, Fragments, Payload, fragment};
-use super::hybrid;
+use super::hybrid::gather_mixed;
 use super::rays::{Said, replay, said_at, said_numbers};
 use super::{STATE, THROUGH, Thresholds, blend_met, blend_projected};
 use crate::camera::Camera;
@@ -32,8 +32,11 @@ use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::{BlendLists, BlendOptions};
 use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TileGrid;
+use crate::tiles::binning::cube::TileList;
 use crate::tiles::capacity::exceed;
 
+/// Sums over the pixels of each tile of a band for the entries of its list, in one order for all pixels of a tile or, of whitened
+/// Gaussians, in those of their cores.
 #[cube(launch)]
 fn gather_kernel(
     shapes: &[f32],
@@ -46,17 +49,39 @@ fn gather_kernel(
     thresholds: Thresholds,
     first_tile: u32,
     end_tile: u32,
+    #[comptime] transparency: Transparency,
     #[comptime] layout: Layout,
 ) {
     let tile = first_tile + CUBE_POS as u32;
     if tile >= end_tile {
         terminate!();
     }
+    let (list, slot) = list_in_band(offsets, tile, first_tile);
+    if comptime!(transparency == Transparency::Sorted) {
+        gather_sorted(sums, shapes, features, list, slot, ids, grad, tile, view, thresholds, layout);
+    } else {
+        gather_mixed(sums, shapes, features, list, slot, ids, grad, tile, view, thresholds, transparency, layout);
+    }
+}
+
+/// [`gather_mixed`] where all pixels share the order of the list.
+#[cube]
+fn gather_sorted(
+    sums: &mut [f32],
+    shapes: &[f32],
+    features: &[f32],
+    list: TileList,
+    slot: u32,
+    ids: &[u32],
+    grad: &[f32],
+    tile: u32,
+    view: CameraUniforms,
+    thresholds: Thresholds,
+    #[comptime] layout: Layout,
+) {
     let form = comptime!(layout.form);
     let width = comptime!(layout.width());
     let unit = UNIT_POS as usize;
-
-    let (list, slot) = list_in_band(offsets, tile, first_tile);
     let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * GROUP));
     let mut ends = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
 
@@ -140,7 +165,7 @@ fn gather_kernel(
     }
 }
 
-/// [`gather_kernel`] in the order of each pixel's own ray, of ellipsoids: what pixels say about the entries of a band of
+/// [`gather_sorted`] in the order of each pixel's own ray, of ellipsoids: what pixels say about the entries of a band of
 /// tiles is known.
 #[cube(launch)]
 fn gather_said_kernel(
@@ -306,12 +331,8 @@ pub fn gather(
     let sums = parts.map(|(_, taken)| empty_f32(grad, [count, taken]));
     for band in bands(&lists.offsets, pairs, tiles, most, per_entry) {
         let [first_tile, end_tile] = [band.start, band.end].map(|tile| tile as u32);
-        match (&said, options.order) {
-            (None, BlendOrder::Whitened(transparency)) if transparency != Transparency::Sorted => {
-                let range = [first_tile, end_tile];
-                hybrid::gather(fragments, lists, [grad, &slots], range, camera, options, layout);
-            }
-            (None, _) => gather_kernel::launch(
+        match &said {
+            None => gather_kernel::launch(
                 &client,
                 cubes(band.len()),
                 cube_dim(),
@@ -325,9 +346,10 @@ pub fn gather(
                 Thresholds::launch(camera, options),
                 first_tile,
                 end_tile,
+                options.order.transparency().unwrap_or(Transparency::Sorted),
                 layout,
             ),
-            (Some(said), _) => {
+            Some(said) => {
                 replay(fragments, lists, grad, said, [first_tile, end_tile], camera, options);
                 gather_said_kernel::launch(
                     &client,

@@ -2,25 +2,20 @@
 //! pixel in registers. Backward, it finds the core again, and says of every entry of the list of the tile what a pixel does in
 //! sorted blending.
 
-use burn::backend::TensorMetadata;
-use burn_cubecl::CubeBackend;
-use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::Thresholds;
-use super::fold::{ENTRIES, GROUP, Layout, NUMBERS, fold_entries, list_in_band};
-use super::fragments::{FEATURES, Fragments, Payload};
+use super::fold::{ENTRIES, GROUP, Layout, NUMBERS, fold_entries};
+use super::fragments::{FEATURES, Payload};
 use super::order::NO_KEY;
-use crate::camera::Camera;
 use crate::footprint::gaussian::cube::whitened::{WHITENED, Whitened};
 use crate::gpu::gather::zeros;
-use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes};
+use crate::gpu::launch::UNITS;
 use crate::gpu::record::Record;
 use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::view::CameraUniforms;
-use crate::ops::blend::{BlendLists, BlendOptions, CORE, CORE_ALPHA};
+use crate::ops::blend::{CORE, CORE_ALPHA};
 use crate::scene::Transparency;
-use crate::tiles::TileGrid;
 use crate::tiles::binning::cube::TileList;
 
 const LEAST_ALPHA: f32 = CORE_ALPHA as f32;
@@ -227,26 +222,22 @@ pub fn weigh(
     sums[TOTAL] = 1.0f32 - through;
 }
 
-#[cube(launch)]
-fn blend_kernel(
-    shapes: &[f32],
-    features: &[f32],
-    offsets: &[u32],
-    ids: &[u32],
+/// Blends the pixel of this unit in a `tile`.
+#[cube]
+pub fn blend_pixel(
     planes: &mut [f32],
     median_depth: &mut [f32],
+    shapes: &[f32],
+    features: &[f32],
+    list: TileList,
+    ids: &[u32],
+    tile: u32,
     view: CameraUniforms,
     thresholds: Thresholds,
-    capacity: u32,
-    count: u32,
     #[comptime] transparency: Transparency,
     #[comptime] maps: bool,
 ) {
-    if CUBE_POS >= (view.columns * view.rows) as usize {
-        terminate!();
-    }
-    let list = TileList::own(offsets, capacity, count);
-    let own = own_pixel(view, CUBE_POS as u32);
+    let own = own_pixel(view, tile);
     let (x, y) = (own.x, own.y);
     let mut tail = zeros(TAIL);
     let mut sums = zeros(WEIGHTS);
@@ -270,37 +261,6 @@ fn blend_kernel(
             median_depth[pixel] = sums[MEDIAN];
         }
     }
-}
-
-pub fn transparency_of(options: &BlendOptions) -> Transparency {
-    options.order.transparency().expect("that of whitened Gaussians")
-}
-
-/// The forward pass into `planes` and median depth.
-pub fn blend(
-    fragments: &Fragments,
-    lists: &BlendLists<CubeBackend>,
-    [planes, median_depth]: [&CubeTensor; 2],
-    camera: &Camera,
-    options: &BlendOptions,
-) {
-    blend_kernel::launch(
-        &planes.client.clone(),
-        cubes(TileGrid::new(camera.width, camera.height).len()),
-        cube_dim(),
-        buffer(&fragments.shapes),
-        buffer(&fragments.features),
-        buffer(&lists.offsets),
-        buffer(&lists.primitives),
-        buffer(planes),
-        buffer(median_depth),
-        CameraUniforms::launch(camera),
-        Thresholds::launch(camera, options),
-        lists.primitives.shape()[0] as u32,
-        lists.order.shape()[0] as u32,
-        transparency_of(options),
-        options.maps,
-    );
 }
 
 /// Gradients that all fragments of the tail of a pixel share.
@@ -328,28 +288,25 @@ fn depth_gradient(coefficients: &Array<f32>, depth: f32, reference: f32, slope: 
     gradient
 }
 
-#[cube(launch)]
-fn gather_kernel(
+/// Sums over the pixels of a tile for the entries of its `list`, into their slots from `slot` on. All units of the cube must call
+/// this together.
+#[cube]
+pub fn gather_mixed(
+    slots: &mut [f32],
     shapes: &[f32],
     features: &[f32],
-    offsets: &[u32],
+    list: TileList,
+    slot: u32,
     ids: &[u32],
     grad: &[f32],
-    slots: &mut [f32],
+    tile: u32,
     view: CameraUniforms,
     thresholds: Thresholds,
-    first_tile: u32,
-    end_tile: u32,
     #[comptime] transparency: Transparency,
     #[comptime] layout: Layout,
 ) {
-    let tile = first_tile + CUBE_POS as u32;
-    if tile >= end_tile {
-        terminate!();
-    }
     let maps = comptime!(layout.maps);
     let unit = UNIT_POS as usize;
-    let (list, slot) = list_in_band(offsets, tile, first_tile);
     let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * GROUP));
 
     let place = own_pixel(view, tile);
@@ -459,33 +416,4 @@ fn gather_kernel(
         sync_cube();
         fold_entries(&mut partial, slots, shapes, features, ids, grad, list, top, slot, tile, view, layout);
     }
-}
-
-/// Sums over the pixels of the tiles of a band into `slots`, which are added in the order of the tiles.
-pub fn gather(
-    fragments: &Fragments,
-    lists: &BlendLists<CubeBackend>,
-    [grad, slots]: [&CubeTensor; 2],
-    [first_tile, end_tile]: [u32; 2],
-    camera: &Camera,
-    options: &BlendOptions,
-    layout: Layout,
-) {
-    gather_kernel::launch(
-        &grad.client.clone(),
-        cubes((end_tile - first_tile) as usize),
-        cube_dim(),
-        buffer(&fragments.shapes),
-        buffer(&fragments.features),
-        buffer(&lists.offsets),
-        buffer(&lists.primitives),
-        buffer(grad),
-        buffer(slots),
-        CameraUniforms::launch(camera),
-        Thresholds::launch(camera, options),
-        first_tile,
-        end_tile,
-        transparency_of(options),
-        layout,
-    );
 }

@@ -9,7 +9,7 @@ use cubecl::prelude::*;
 
 use super::Thresholds;
 use super::fragments::Fragments;
-use super::hybrid::{SHARE, TAIL, WEIGHTS, find_core, transparency_of, weigh};
+use super::hybrid::{SHARE, TAIL, WEIGHTS, find_core, weigh};
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::whitened::{WHITENED, Whitened};
 use crate::gpu::gather::zeros;
@@ -118,7 +118,7 @@ pub fn outweighing(
         lists.primitives.shape()[0] as u32,
         count as u32,
         least as f32,
-        transparency_of(options),
+        options.order.transparency().expect("that of whitened Gaussians"),
     );
     marks
 }
