@@ -114,8 +114,8 @@ pub const WIDTHS: [usize; 5] = [3, 4, 3, 1, 3];
 pub struct Flat(pub [Vec<f64>; 5], pub Vec<f64>);
 
 impl Flat {
-    pub fn random(seed: u64, recipe: &Recipe) -> (Self, Camera) {
-        let scene = scenes::random(seed, recipe);
+    pub fn random(seed: u64, gaussians: usize, [width, height]: [usize; 2]) -> (Self, Camera) {
+        let scene = scenes::random(seed, &Recipe { surfels: 0, gaussians, width, height, ..Recipe::default() });
         let g = scene.gaussians;
         let colours = Random::new(seed).numbers(3 * g.len(), -0.3, 1.3);
         let parameters = [wide(&g.positions), wide(&g.quaternions), wide(&g.log_scales), wide(&g.opacities), colours];

@@ -13,7 +13,7 @@
 //! | `cpu.rs` | kernels of the CPU backends |
 //! | `cube.rs` | their CubeCL twins for GPUs |
 //! | `autodiff.rs` | the operation on Burn's tape, and what it keeps for the way back, which the kernels implement |
-//! | `tests.rs` | what only this operation needs |
+//! | `tests.rs` | what only this operation needs; `fixtures.rs` has what several need |
 //!
 //! A file that grew too long has a folder of its name beside it. To add an operation, copy the shape of
 //! `colour`, the smallest that has them all. Operations use the rooms below them: `binning`, below that

@@ -8,7 +8,6 @@ mod students;
 mod whitened;
 
 use burn::tensor::{DType, Device, Tensor};
-use glam::DVec3;
 
 use self::brute_force::{Pixel, Primitive, Shape, centre_of, pixel};
 use super::{ALPHA_PLANE, Blend, BlendOptions, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE, blend};
@@ -21,7 +20,6 @@ use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::check;
 use crate::testing::random::Random;
-use crate::testing::scenes::Recipe;
 
 /// Widths of positions, quaternions, log-scales, opacities, colours and the probe.
 const WIDTHS: [usize; 6] = [3, 4, 3, 1, 3, 4];
@@ -180,14 +178,8 @@ fn dense(primitives: &[Primitive], camera: &Camera, options: &BlendOptions) -> V
 }
 
 /// Compares pictures with every pixel from its definition, all but the last `left_out` of the [`images`], and those without maps
-/// with them. Returns the pictures.
-fn check_pictures(
-    flat: &Flat,
-    camera: &Camera,
-    options: &BlendOptions,
-    tolerance: f64,
-    left_out: usize,
-) -> Vec<Vec<f64>> {
+/// with them.
+fn check_pictures(flat: &Flat, camera: &Camera, options: &BlendOptions, tolerance: f64, left_out: usize) {
     let expected = images_of_pixels(&dense(&flat.primitives(camera, options), camera, options));
     assert!(expected[1].iter().any(|alpha| *alpha > 0.5));
     let leaves = flat.leaves();
@@ -198,7 +190,6 @@ fn check_pictures(
     }
     let without_maps = BlendOptions { maps: false, ..*options };
     assert_eq!(images(&leaves.blend(camera, &without_maps)), found[..2]);
-    found
 }
 
 /// Pixel of [`axis_camera`] with its centre half a pixel right of and below the axis.
@@ -234,9 +225,4 @@ fn scene_of(form: Form) -> Flat {
         Form::Discs => slanted(),
         Form::Students => students::mixed(),
     }
-}
-
-/// A Gaussian whose α is capped at every pixel of [`axis_camera`].
-fn wall(depth: f64) -> ([f64; 3], [f64; 3], f64) {
-    ([0.0, 0.0, depth], [depth.ln(); 3], 100.0)
 }

@@ -57,19 +57,6 @@ fn a_pixel_shows_what_the_colour_model_gives_a_primitive_on_its_ray() {
 }
 
 #[test]
-fn only_the_direction_of_a_camera_counts() {
-    let coefficients = Random::new(2).numbers(48, -1.0, 1.0);
-    let here = camera();
-    let moved = Camera { camera_from_world: here.camera_from_world.recentred(DVec3::new(3.0, 1.0, -2.0)), ..here };
-    let found = image(&coefficients, &here);
-    assert_eq!(image(&coefficients, &moved), found);
-    let target = DVec3::new(0.5, 0.0, 0.0);
-    let turned = CameraFromWorld::look_at(here.centre(), target, DVec3::Z);
-    let turned = image(&coefficients, &Camera { camera_from_world: turned, ..here });
-    assert!(found.iter().zip(turned).all(|(a, b)| (a - b).abs() > 1e-6));
-}
-
-#[test]
 fn pixels_without_a_ray_show_nothing() {
     let fold = Distortion { numerator: [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0], ..Distortion::new(Projection::Perspective) };
     let camera = Camera { lens: Some(Lens::new(fold)), ..camera() };

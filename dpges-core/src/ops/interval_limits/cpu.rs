@@ -10,7 +10,7 @@ use crate::backend::real::Real;
 use crate::ops::peel::PeelOutput;
 use crate::scene::MarginLookup;
 
-pub(super) fn limits<T: Real>(
+fn limits<T: Real>(
     ids: &[i32],
     alpha: &[T],
     depth: &[T],

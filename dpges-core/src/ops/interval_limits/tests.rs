@@ -1,4 +1,3 @@
-use super::cpu::limits;
 use super::interval_limits;
 use crate::ops::fixtures;
 use crate::ops::fixtures::constant;
@@ -9,20 +8,6 @@ use crate::testing::random::Random;
 
 const WIDTH: usize = 40;
 const HEIGHT: usize = 30;
-
-#[test]
-fn limits_ascend_and_close_behind_the_last_layer() {
-    // two layers; pixels: rim then opaque | margin of the first reaches past the second | nothing | one rim
-    let ids = [0, 1, -1, 2, 1, 0, -1, -1];
-    let alpha = [0.5, 0.5, 0.0, 0.5, 1.0, 0.5, 0.0, 0.0];
-    let inf = f64::INFINITY;
-    let depth = [1.0, 1.0, inf, 1.0, 2.0, 2.0, inf, inf];
-    let margins = [0.1, 5.0, 0.3];
-    let shifted = limits::<f64>(&ids, &alpha, &depth, &margins, 2, MarginLookup::Shifted);
-    assert_eq!(shifted, [1.1, 2.1, inf, 1.3, 7.0, 2.1, inf, inf]);
-    let literal = limits::<f64>(&ids, &alpha, &depth, &margins, 2, MarginLookup::Literal);
-    assert_eq!(literal, [1.0, 1.0, inf, 1.0, 7.0, 2.1, inf, inf]);
-}
 
 #[test]
 fn intervals_are_those_of_the_first_layer_that_lies_behind() {

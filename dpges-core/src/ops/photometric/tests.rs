@@ -55,16 +55,6 @@ fn separable_windows_equal_two_dimensional_ones() {
 }
 
 #[test]
-fn identical_images_are_perfectly_similar_and_cannot_become_more_so() {
-    let image = random_image([3, 20, 17], 3);
-    let a = tensor(&image);
-    let value = ssim(&a, &tensor(&image).detach()).unwrap();
-    approx::assert_relative_eq!(values(&value)[0], 1.0, epsilon = 1e-14);
-    let gradient = values(&a.grad(&value.backward()).unwrap());
-    assert!(gradient.iter().all(|g| g.abs() < 1e-14), "{gradient:?}");
-}
-
-#[test]
 fn the_gradient_is_central_differences() {
     for shape in [[3, 18, 21], [2, 3, 4], [1, 1, 1]] {
         let (image, target) = (random_image(shape, 4), random_image(shape, 5));

@@ -14,7 +14,6 @@ use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
 use crate::testing::random::Random;
-use crate::testing::scenes::Recipe;
 use crate::tiles::PixelRect;
 
 const COLOUR: [f64; 3] = [0.9, -0.2, 0.4];
@@ -157,8 +156,7 @@ fn check_against_dense(name: &str, flat: &Flat, layers: usize, depth: f64, camer
 #[test]
 fn tiled_sums_and_contributions_equal_dense_ones() {
     for layers in 1..=4 {
-        let recipe = Recipe { surfels: 0, gaussians: 60, width: 45, height: 37, ..Recipe::default() };
-        let (random, random_camera) = Flat::random(layers as u64, &recipe);
+        let (random, random_camera) = Flat::random(layers as u64, 60, [45, 37]);
         check_against_dense("random", &random, layers, 2.5, &random_camera, 1e-11);
         check_against_dense("every kind", &every_kind(400), layers, 2.5, &axis_camera(), 1e-11);
     }
@@ -243,14 +241,13 @@ fn check_gradients(name: &str, flat: &Flat, camera: &Camera) {
 
 #[test]
 fn gradients_of_the_sums_are_central_differences() {
-    let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
     let mut edges = Flat::default();
     // a needle, one larger than the image, one outside where the Jacobian is clamped, one too thin to be undimmed
     edges.push_turned([0.9, 0.3, -0.2, 0.1], [0.1, 0.0, 2.0], [-0.7, -4.0, -5.0], 1.3, COLOUR);
     edges.push_turned([0.5, -0.3, 0.6, 0.2], [-0.3, 0.2, 3.0], [0.3, 0.6, 0.1], 0.8, COLOUR);
     edges.push_turned([0.1, 0.8, 0.2, 0.4], [1.6, 0.9, 2.0], [-0.6, -0.3, -0.9], 0.9, COLOUR);
     edges.push_turned([0.1, 0.3, 0.2, 0.4], [0.2, -0.2, 2.0], [-8.0, -9.0, -9.5], 1.9, COLOUR);
-    let (random, random_camera) = Flat::random(31, &recipe);
+    let (random, random_camera) = Flat::random(31, 9, [29, 21]);
     check_gradients("random", &random, &random_camera);
     check_gradients("edges", &edges, &axis_camera());
 }

@@ -31,16 +31,3 @@ fn words_that_are_too_many_or_too_few_are_refused() {
         assert_eq!((tensor.as_str(), found), ("words", vec![7]));
     }
 }
-
-/// The arithmetic of the GPU kernel.
-#[test]
-fn repeated_bits_of_a_value_are_its_share_of_255() {
-    for value in 1..=255u32 {
-        let bits = value * 0x0101_0101;
-        let zeros = bits.leading_zeros();
-        let bits = bits << zeros;
-        let rounded = (bits >> 8) + ((bits >> 7) & 1);
-        let number = ((126 - zeros) << 23) + (rounded - 0x0080_0000);
-        assert_eq!(number, (value as f32 / 255.0).to_bits(), "{value}");
-    }
-}

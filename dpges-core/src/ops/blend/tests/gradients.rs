@@ -18,8 +18,7 @@ pub fn check_gradients(flat: &Flat, camera: &Camera, options: &BlendOptions, out
 
 /// Checks the gradients of every output of some random Gaussians and of a scene.
 pub fn check_outputs(scene: &Flat, options: &BlendOptions) {
-    let recipe = Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() };
-    let (random, random_camera) = Flat::random(31, &recipe);
+    let (random, random_camera) = Flat::random(31, 9, [29, 21]);
     check_gradients(&random, &random_camera, options, &OUTPUTS, 1e-6);
     check_gradients(scene, &axis_camera(), options, &OUTPUTS, 1e-6);
 }
@@ -46,8 +45,7 @@ fn gradients_are_central_differences_in_more_tiles_than_are_summed_at_a_time() {
 
 #[test]
 fn maps_do_not_change_the_gradient_of_colour() {
-    let recipe = Recipe { surfels: 0, gaussians: 100, width: 61, height: 40, ..Recipe::default() };
-    let (flat, camera) = Flat::random(16, &recipe);
+    let (flat, camera) = Flat::random(16, 100, [61, 40]);
     let leaves = flat.leaves();
     for way in every_way() {
         let [without, with] = [false, true].map(|maps| {

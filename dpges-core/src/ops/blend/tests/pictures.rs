@@ -7,8 +7,7 @@ fn blending_equals_sorting_at_every_pixel() {
     let mut scenes = vec![(round.clone(), axis_camera()), (round.reversed(), axis_camera())];
     scenes.push((slanted(), axis_camera()));
     for (seed, gaussians) in [(1, 40), (2, 400), (3, 1000)] {
-        let recipe = Recipe { surfels: 0, gaussians, width: 45, height: 37, ..Recipe::default() };
-        scenes.push(Flat::random(seed, &recipe));
+        scenes.push(Flat::random(seed, gaussians, [45, 37]));
     }
     let options = [(with_maps(Form::Ellipsoids), 1e-11), (plainly_filtered(), 1e-11), (with_maps(Form::Discs), 1e-9)];
     for (options, tolerance) in options {
@@ -70,69 +69,6 @@ fn nothing_blends_to_nothing() {
 }
 
 #[test]
-fn an_opaque_gaussian_hides_what_is_behind_and_two_end_the_pixel() {
-    let (camera, red, blue) = (axis_camera(), [0.9, 0.1, 0.0], [0.0, 0.2, 0.8]);
-    let options = with_maps(Form::Ellipsoids);
-    let of = |walls: &[(f64, [f64; 3])]| {
-        let mut flat = Flat::default();
-        for &(depth, colour) in walls {
-            let (position, log_scales, opacity) = wall(depth);
-            flat.push(position, log_scales, opacity, colour);
-        }
-        images(&flat.leaves().blend(&camera, &options))
-    };
-    let alone = of(&[(2.0, red)]);
-    let pixels = camera.width * camera.height;
-    for at in 0..pixels {
-        for (c, value) in red.into_iter().enumerate() {
-            approx::assert_relative_eq!(alone[0][c * pixels + at], 0.999 * value, epsilon = 1e-12);
-        }
-        approx::assert_relative_eq!(alone[1][at], 0.999, epsilon = 1e-12);
-        approx::assert_relative_eq!(alone[2][at], 0.999 * 2.0, epsilon = 1e-12);
-        assert_eq!((alone[4][at], alone[5][at]), (0.0, 2.0));
-    }
-    assert_eq!(of(&[(2.0, red), (3.0, blue)]), alone);
-    assert_eq!(of(&[(3.0, blue), (2.0, red), (2.5, blue)]), alone);
-
-    let mut veiled = Flat::default();
-    let (position, log_scales, opacity) = wall(2.0);
-    veiled.push(position, log_scales, opacity, red);
-    veiled.push([0.0, 0.0, 3.0], log_scales, 0.5, blue);
-    let veiled = images(&veiled.leaves().blend(&camera, &options));
-    for (found, alone) in veiled[0].iter().zip(&alone[0]) {
-        assert!((found - alone).abs() <= 0.0005 * 0.8, "{found}, alone {alone}");
-    }
-    assert_ne!(veiled[0], alone[0]);
-    assert_eq!(veiled[5], alone[5]);
-}
-
-#[test]
-fn a_disc_that_faces_the_camera_is_a_gaussian_of_its_scales_and_no_smaller_than_a_pixel() {
-    let camera = axis_camera();
-    let alone = |log_scales: [f64; 3]| {
-        let mut flat = Flat::default();
-        flat.push_turned([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0], log_scales, 0.8, [0.5, 0.25, 1.0]);
-        images(&flat.leaves().blend(&camera, &with_maps(Form::Discs)))
-    };
-    let pixels = camera.width * camera.height;
-    // half a pixel is 0.5 z / f world units
-    let squared = (1.0 / 40.0 / f64::exp(-1.2)).powi(2) + (1.0 / 44.0 / f64::exp(-0.9)).powi(2);
-    // ρ = 2 |d|² with d = (½, ½)
-    for (log_scales, squared) in [([-1.2, -0.9, 3.0], squared), ([-7.0, -8.0, 3.0], 1.0)] {
-        let alpha = 0.8 * (-0.5 * squared).exp();
-        let found = alone(log_scales);
-        let at = |output: usize, plane: usize| found[output][plane * pixels + BESIDE_AXIS];
-        let planes = [at(0, 0), at(0, 1), at(0, 2), at(1, 0), at(2, 0), at(3, 0), at(3, 1), at(3, 2), at(4, 0)];
-        let expected = [0.5 * alpha, 0.25 * alpha, alpha, alpha, 2.0 * alpha, 0.0, 0.0, -alpha, 0.0];
-        for (found, expected) in planes.into_iter().zip(expected) {
-            approx::assert_relative_eq!(found, expected, epsilon = 1e-12);
-        }
-    }
-    assert_eq!(alone([-1.2, -0.9, 3.0])[5][BESIDE_AXIS], 2.0);
-    assert_eq!(alone([-7.0, -8.0, 3.0])[5][BESIDE_AXIS], 0.0);
-}
-
-#[test]
 fn ties_in_depth_are_broken_by_index() {
     let camera = axis_camera();
     let (red, green) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
@@ -150,8 +86,7 @@ fn ties_in_depth_are_broken_by_index() {
 
 #[test]
 fn the_order_of_the_parameters_does_not_matter() {
-    let recipe = Recipe { surfels: 0, gaussians: 300, width: 61, height: 40, ..Recipe::default() };
-    let (flat, camera) = Flat::random(12, &recipe);
+    let (flat, camera) = Flat::random(12, 300, [61, 40]);
     let (leaves, backwards) = (flat.leaves(), flat.reversed().leaves());
     for options in every_way() {
         assert_eq!(images(&leaves.blend(&camera, &options)), images(&backwards.blend(&camera, &options)));
@@ -165,8 +100,7 @@ fn the_order_of_the_parameters_does_not_matter() {
 
 #[test]
 fn the_number_of_threads_does_not_matter() {
-    let recipe = Recipe { surfels: 0, gaussians: 200, width: 170, height: 150, ..Recipe::default() };
-    let (flat, camera) = Flat::random(13, &recipe);
+    let (flat, camera) = Flat::random(13, 200, [170, 150]);
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
@@ -204,17 +138,17 @@ fn options_outside_their_range_are_refused() {
 }
 
 #[test]
-fn discs_through_a_lens_are_refused_by_name_and_gaussians_are_not() {
+fn discs_and_whitened_gaussians_through_a_lens_are_refused_by_name_and_others_are_not() {
     let lens = Some(Lens::new(Distortion::new(Projection::Equidistant)));
     let camera = Camera { lens, ..axis_camera() };
     let leaves = capped().leaves();
-    let blended = |form: Form| {
-        let options = BlendOptions { form, ..BlendOptions::default() };
-        blend(&leaves.gaussians, &leaves.colours, None, &camera, &options).map(|_| ())
-    };
-    let message = blended(Form::Discs).unwrap_err().to_string();
-    for part in ["`lens` is Equidistant", "only pinhole cameras", "data.undistort"] {
-        assert!(message.contains(part), "{part}: {message}");
+    let blended =
+        |options: BlendOptions| blend(&leaves.gaussians, &leaves.colours, None, &camera, &options).map(|_| ());
+    for options in [with_maps(Form::Discs), hybrid(Transparency::Hybrid)] {
+        let message = blended(options).unwrap_err().to_string();
+        for part in ["`lens` is Equidistant", "only pinhole cameras", "data.undistort"] {
+            assert!(message.contains(part), "{part}: {message}");
+        }
     }
-    blended(Form::Ellipsoids).unwrap();
+    blended(with_maps(Form::Ellipsoids)).unwrap();
 }

@@ -24,8 +24,7 @@ pub fn check_single(
 
 #[test]
 fn single_precision_is_close_to_double() {
-    let recipe = Recipe { surfels: 0, gaussians: 300, width: 61, height: 40, ..Recipe::default() };
-    let (flat, camera) = Flat::random(14, &recipe);
+    let (flat, camera) = Flat::random(14, 300, [61, 40]);
     // z of a hit has no bound where a disc is seen edge-on
     let bounded: &[Output] = &[Output::Colour, Output::Alpha, Output::Normal];
     for (form, outputs) in [(Form::Ellipsoids, OUTPUTS.as_slice()), (Form::Discs, bounded)] {
@@ -51,8 +50,7 @@ fn single_precision_tells_near_surfaces_apart_far_behind_the_near_plane() {
 #[cfg(all(feature = "ndarray", feature = "flex"))]
 #[test]
 fn both_cpu_backends_agree_to_the_bit() {
-    let recipe = Recipe { surfels: 0, gaussians: 300, width: 61, height: 40, ..Recipe::default() };
-    let (flat, camera) = Flat::random(15, &recipe);
+    let (flat, camera) = Flat::random(15, 300, [61, 40]);
     for (dtype, options) in
         [DType::F32, DType::F64].into_iter().flat_map(|dtype| every_way().map(|options| (dtype, options)))
     {

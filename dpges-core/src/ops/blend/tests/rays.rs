@@ -2,7 +2,7 @@ use super::gradients::{check_gradients, check_outputs};
 use super::*;
 
 /// Two long ellipsoids that cross on the axis, one a little nearer at its centre, and a sheet behind them.
-pub fn crossed() -> Flat {
+fn crossed() -> Flat {
     let mut flat = Flat::default();
     let turned = |half: f64| [half.cos(), 0.0, half.sin(), 0.0];
     flat.push_turned(turned(0.3), [0.0, 0.0, 2.0], [-0.6, -2.5, -3.5], 0.9, [0.9, 0.1, 0.2]);
@@ -14,8 +14,7 @@ pub fn crossed() -> Flat {
 #[test]
 fn few_fragments_are_blended_in_the_order_along_their_ray() {
     let camera = axis_camera();
-    let (random, random_camera) =
-        Flat::random(31, &Recipe { surfels: 0, gaussians: 9, width: 29, height: 21, ..Recipe::default() });
+    let (random, random_camera) = Flat::random(31, 9, [29, 21]);
     for (flat, camera) in [(capped(), camera), (crossed(), camera), (random, random_camera)] {
         let found = images(&flat.leaves().blend(&camera, &by_rays()));
         let expected = images_of_pixels(&dense(&flat.primitives(&camera, &by_rays()), &camera, &by_rays()));
@@ -23,23 +22,6 @@ fn few_fragments_are_blended_in_the_order_along_their_ray() {
             assert!(relative_l2(found, expected) < 1e-12);
         }
     }
-}
-
-/// Whether the first of [`crossed`] shows more than the second, on either side of the axis.
-pub fn redder_on_sides(options: &BlendOptions) -> [bool; 2] {
-    let camera = axis_camera();
-    let colours = images(&crossed().leaves().blend(&camera, options))[0].clone();
-    [10, 26].map(|column| {
-        let at = 14 * camera.width + column;
-        colours[at] > colours[camera.width * camera.height + at]
-    })
-}
-
-#[test]
-fn what_crosses_is_in_front_on_its_side() {
-    assert_eq!(redder_on_sides(&BlendOptions { order: BlendOrder::Centres, ..by_rays() }), [true; 2]);
-    let [left, right] = redder_on_sides(&by_rays());
-    assert!(left != right);
 }
 
 #[test]
@@ -51,8 +33,7 @@ fn gradients_in_the_order_of_rays_are_central_differences() {
 #[test]
 fn gradients_of_full_queues_are_central_differences() {
     // more fragments in a pixel than it holds, and more in a block
-    let recipe = Recipe { surfels: 0, gaussians: 90, width: 6, height: 5, ..Recipe::default() };
-    let (mut flat, camera) = Flat::random(32, &recipe);
+    let (mut flat, camera) = Flat::random(32, 90, [6, 5]);
     let rows = flat.len();
     flat.0[2] = (0..rows).flat_map(|i| [-0.9 + 0.01 * (i % 7) as f64, -1.8, -2.5 + 0.1 * (i % 5) as f64]).collect();
     flat.0[3] = (0..rows).map(|i| 0.05 + 0.001 * i as f64).collect();
@@ -74,30 +55,4 @@ fn what_is_met_behind_the_camera_does_not_exist() {
     assert!(shown(3.0, BlendOrder::Rays) > 0);
     let (near, everywhere) = (shown(0.3, BlendOrder::Rays), shown(0.3, BlendOrder::Centres));
     assert!(near < everywhere, "{near} of {everywhere}");
-}
-
-/// Differences between successive pictures of a camera that turns on the spot: the largest over the median.
-fn spike_of_a_turn(flat: &Flat, order: BlendOrder) -> f64 {
-    const STEP: f64 = 2e-4;
-    let (options, leaves, camera) = (BlendOptions { order, maps: false, ..by_rays() }, flat.leaves(), axis_camera());
-    let picture = |step: i32| {
-        let turn = DVec3::new(0.0, STEP * f64::from(step), 0.0);
-        let camera_from_world = camera.camera_from_world.moved(turn, DVec3::ZERO);
-        values(&leaves.blend(&Camera { camera_from_world, ..camera }, &options).colour)
-    };
-    let pictures: Vec<Vec<f64>> = (-20..20).map(picture).collect();
-    let difference = |pair: &[Vec<f64>]| pair[0].iter().zip(&pair[1]).map(|(a, b)| (a - b).abs()).sum::<f64>();
-    let mut differences: Vec<f64> = pictures.windows(2).map(difference).collect();
-    differences.sort_by(f64::total_cmp);
-    differences[differences.len() - 1] / differences[differences.len() / 2]
-}
-
-#[test]
-fn nothing_pops_when_the_camera_turns() {
-    let mut flat = Flat::default();
-    // side by side: a turn by 0.001 rad has the other one nearer, by the depths of their centres
-    flat.push([-0.3, -0.2, 1.9997], [-1.2; 3], 0.9, [0.9, 0.1, 0.2]);
-    flat.push([0.3, 0.2, 2.0003], [-1.2; 3], 0.9, [0.1, 0.8, 0.3]);
-    let (by_centres, by_rays) = (spike_of_a_turn(&flat, BlendOrder::Centres), spike_of_a_turn(&flat, BlendOrder::Rays));
-    assert!(by_centres > 8.0 && by_rays < 2.0, "{by_centres} by centres, {by_rays} by rays");
 }

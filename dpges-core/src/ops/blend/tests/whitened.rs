@@ -1,7 +1,6 @@
 use super::gradients::{check_gradients, check_outputs};
 use super::precision::check_single;
 use super::probe::assert_same_probe;
-use super::rays::redder_on_sides;
 use super::*;
 use crate::ops::blend::{CORE, CORE_ALPHA, outweighing};
 
@@ -28,8 +27,7 @@ fn small_camera() -> Camera {
 }
 
 fn scenes_to_blend() -> [(Flat, Camera); 3] {
-    let recipe = Recipe { surfels: 0, gaussians: 400, width: 45, height: 37, ..Recipe::default() };
-    [(capped(), axis_camera()), Flat::random(42, &recipe), (crowd(60), small_camera())]
+    [(capped(), axis_camera()), Flat::random(42, 400, [45, 37]), (crowd(60), small_camera())]
 }
 
 #[test]
@@ -62,17 +60,6 @@ fn a_crowd_has_fragments_beyond_its_core_and_faint_ones() {
 }
 
 #[test]
-fn pictures_do_not_depend_on_the_order_of_the_rows() {
-    for options in TRANSPARENCIES.map(hybrid) {
-        let (flat, camera) = (crowd(60), small_camera());
-        let [found, reversed] = [&flat, &flat.reversed()].map(|flat| images(&flat.leaves().blend(&camera, &options)));
-        for (found, reversed) in found.iter().zip(&reversed) {
-            assert!(relative_l2(found, reversed) < 1e-12);
-        }
-    }
-}
-
-#[test]
 fn gradients_of_every_transparency_are_central_differences() {
     for options in TRANSPARENCIES.map(hybrid) {
         check_outputs(&capped(), &options);
@@ -87,28 +74,6 @@ fn gradients_of_a_crowd_are_central_differences() {
     for options in TRANSPARENCIES.map(hybrid) {
         check_gradients(&flat, &camera, &options, &[Output::Colour, Output::Depth], 1e-7);
     }
-}
-
-#[test]
-fn what_crosses_is_in_front_on_its_side() {
-    assert_eq!(redder_on_sides(&hybrid(Transparency::Sorted)), [true; 2]);
-    let [left, right] = redder_on_sides(&hybrid(Transparency::Hybrid));
-    assert!(left != right);
-}
-
-#[test]
-fn an_opaque_core_hides_the_tail_and_the_nearest_alone_have_none() {
-    let camera = axis_camera();
-    let colour = |nearest: f64, transparency: Transparency| {
-        let mut flat = Flat::default();
-        flat.push([0.0, 0.0, 2.0], [-1.0; 3], nearest, [1.0, 0.0, 0.0]);
-        flat.push([0.0, 0.0, 2.5], [-1.0; 3], 0.04, [0.0, 1.0, 0.0]);
-        images(&flat.leaves().blend(&camera, &hybrid(transparency)))[0][1200 + BESIDE_AXIS]
-    };
-    // α is capped at 0.9999
-    assert!(colour(20.0, Transparency::Hybrid) < 1e-5);
-    let (behind, alone) = (colour(0.5, Transparency::Hybrid), colour(0.5, Transparency::Nearest));
-    assert!(alone == 0.0 && behind > 0.01 && behind < 0.025, "{behind}, {alone}");
 }
 
 #[test]
@@ -159,8 +124,7 @@ fn the_probe_collects_what_every_pixel_wants_of_the_centre() {
 
 #[test]
 fn single_precision_is_close_to_double_and_so_are_its_gradients() {
-    let recipe = Recipe { surfels: 0, gaussians: 300, width: 61, height: 40, ..Recipe::default() };
-    let (flat, camera) = Flat::random(14, &recipe);
+    let (flat, camera) = Flat::random(14, 300, [61, 40]);
     for options in TRANSPARENCIES.map(hybrid) {
         check_single(&flat, &camera, &options, &OUTPUTS[..4], [1e-2, 3e-2]);
     }
@@ -199,7 +163,7 @@ fn those_that_outweigh_a_share_are_marked() {
 }
 
 #[test]
-fn orders_belong_to_their_forms_and_lenses_to_others() {
+fn orders_belong_to_their_forms() {
     let forms = [Form::Ellipsoids, Form::Discs, Form::Students, Form::Whitened];
     let orders = [BlendOrder::Centres, BlendOrder::Rays, BlendOrder::Whitened(Transparency::Tail)];
     let fits = |form, order| BlendOptions { form, order, ..BlendOptions::default() }.validate().is_ok();
@@ -207,9 +171,4 @@ fn orders_belong_to_their_forms_and_lenses_to_others() {
         forms.map(|form| orders.map(|order| fits(form, order))),
         [[true, true, false], [true, false, false], [true, false, false], [false, false, true]]
     );
-    let lens = Some(Lens::new(Distortion::new(Projection::Equidistant)));
-    let leaves = capped().leaves();
-    let camera = Camera { lens, ..axis_camera() };
-    let options = hybrid(Transparency::Hybrid);
-    assert!(blend(&leaves.gaussians, &leaves.colours, None, &camera, &options).is_err());
 }
