@@ -89,6 +89,9 @@ pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Res
 }
 
 /// [`validate`] for a scene without surfels.
+///
+/// # Errors
+/// The errors of [`validate`].
 pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
     gaussians.check_shapes()?;
     let mut door = Door::new(("gaussians.positions", &gaussians.positions));
@@ -144,6 +147,9 @@ pub fn render(surfels: &Surfels, gaussians: &Gaussians, camera: &Camera, options
 
 /// [`render`] for parameters whose `values` may be known to be finite, from the camera of a `probe`, which gradients then
 /// reach.
+///
+/// # Errors
+/// The errors of [`render`].
 pub fn render_probed(
     surfels: &Surfels,
     gaussians: &Gaussians,

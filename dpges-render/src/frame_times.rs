@@ -79,6 +79,9 @@ pub fn frame_times(
 }
 
 /// [`frame_times`] of `scene` with its own options, from `cameras` without their lenses.
+///
+/// # Errors
+/// The errors of [`frame_times`] and of [`Renderer::upload`].
 pub fn scene_frame_times(
     headless: &Headless,
     scene: &SceneData,

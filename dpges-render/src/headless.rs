@@ -40,6 +40,9 @@ impl Headless {
     }
 
     /// Another device of `adapter`.
+    ///
+    /// # Errors
+    /// [`RenderError::Adapter`].
     pub fn on(adapter: &wgpu::Adapter) -> Result<Self> {
         Renderer::check_adapter(adapter)?;
         let descriptor = wgpu::DeviceDescriptor {
@@ -86,11 +89,17 @@ impl Headless {
     }
 
     /// A renderer for [`picture`](Self::picture) with the best precision of the device.
+    ///
+    /// # Errors
+    /// The errors of [`Renderer::new`].
     pub fn renderer(&self) -> Result<Renderer> {
         self.renderer_with(None)
     }
 
     /// [`renderer`](Self::renderer) with `precision`, if that is given.
+    ///
+    /// # Errors
+    /// The errors of [`Renderer::new`].
     pub fn renderer_with(&self, precision: Option<Precision>) -> Result<Renderer> {
         let precision = precision.unwrap_or_else(|| Renderer::best_precision(&self.device));
         let depths = Renderer::best_depths(&self.device);
@@ -106,6 +115,9 @@ impl Headless {
     }
 
     /// The picture of `scene` from `camera`.
+    ///
+    /// # Errors
+    /// The errors of [`Renderer::upload`] and [`draw`](Self::draw).
     pub fn picture(&self, scene: &SceneData, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
         let mut renderer = self.renderer()?;
         renderer.upload(scene)?;
@@ -113,12 +125,18 @@ impl Headless {
     }
 
     /// A renderer for [`planes`](Self::planes), with sums of `precision` and depths from `depths`.
+    ///
+    /// # Errors
+    /// The errors of [`Renderer::new`].
     pub fn float_renderer(&self, precision: Precision, depths: DepthSource) -> Result<Renderer> {
         Renderer::new(&self.device, &self.queue, self.floats, precision, depths)
     }
 
     /// The planes [3, H, W] of a picture of the scene that `renderer` holds, not clamped and not rounded to bytes. It must be a
     /// [`float_renderer`](Self::float_renderer). Where the device cannot draw into 32-bit floats, numbers are rounded to 16 bits.
+    ///
+    /// # Errors
+    /// The errors of [`draw`](Self::draw).
     pub fn planes(&self, renderer: &mut Renderer, camera: &Camera, options: &RenderOptions) -> Result<Vec<f32>> {
         let bytes = renderer.texels(camera, options)?;
         let numbers: Vec<f32> = if self.floats == wgpu::TextureFormat::Rgba32Float {

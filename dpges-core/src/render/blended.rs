@@ -85,6 +85,9 @@ pub struct Probes<'a> {
 }
 
 /// [`render_blended`] with `probes` of both kinds.
+///
+/// # Errors
+/// The errors of [`render_blended`].
 pub fn render_blended_probed(
     gaussians: &Gaussians,
     probes: Probes<'_>,

@@ -61,6 +61,9 @@ impl SceneData {
     }
 
     /// [`load`](Self::load) for the `bytes` of a file; errors name it `name`.
+    ///
+    /// # Errors
+    /// [`Error::SceneFile`], as [`load`](Self::load).
     pub fn from_bytes(bytes: &[u8], name: &str) -> Result<Self> {
         parse(bytes).map_err(|reason| Error::SceneFile { path: name.into(), reason })
     }

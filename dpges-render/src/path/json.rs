@@ -88,17 +88,25 @@ impl CameraPath {
     }
 
     /// An open path from the text of a `cameras.json`. Cameras without a near plane have `near`.
+    ///
+    /// # Errors
+    /// A message that names the problem.
     pub fn from_json(text: &str, near: f64) -> Result<Self, String> {
         let entries: Vec<Entry> = serde_json::from_str(text).map_err(|error| error.to_string())?;
         let keys = entries.iter().map(|entry| entry.camera(near)).collect::<Result<Vec<_>, _>>()?;
         Self::new(keys, false).map_err(|error| error.to_string())
     }
 
+    /// # Errors
+    /// [`PathError::Write`].
     pub fn save(&self, path: &Path) -> Result<(), PathError> {
         Ok(write_atomically(path, |file| file.write_all(self.to_json().as_bytes()))?)
     }
 
     /// Reads key cameras from `path`, see [`from_json`](Self::from_json).
+    ///
+    /// # Errors
+    /// [`PathError::Read`], [`PathError::File`].
     pub fn load(path: &Path, near: f64) -> Result<Self, PathError> {
         let text = std::fs::read_to_string(path).map_err(|source| PathError::Read { path: path.to_owned(), source })?;
         Self::from_json(&text, near).map_err(|reason| PathError::File { path: path.to_owned(), reason })

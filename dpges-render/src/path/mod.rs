@@ -20,6 +20,9 @@ pub struct CameraPath {
 
 impl CameraPath {
     /// A way through `keys`, in the coordinates of the scene; `closed` ones return from the last to the first.
+    ///
+    /// # Errors
+    /// [`PathError::Empty`] without keys.
     pub fn new(keys: Vec<Camera>, closed: bool) -> Result<Self, PathError> {
         if keys.is_empty() { Err(PathError::Empty) } else { Ok(Self { keys, closed }) }
     }

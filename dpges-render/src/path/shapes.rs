@@ -60,6 +60,9 @@ fn looking(camera: &Camera, eye: DVec3, target: DVec3, up: DVec3) -> Camera {
 impl CameraPath {
     /// A circle around what `cameras` look at, as far from it and as high as they are on average, with the lens and
     /// size of the first.
+    ///
+    /// # Errors
+    /// [`PathError::Empty`] without cameras.
     pub fn orbit(cameras: &[Camera]) -> Result<Self, PathError> {
         let first = cameras.first().ok_or(PathError::Empty)?;
         let around = Surroundings::new(cameras);
@@ -76,6 +79,9 @@ impl CameraPath {
 
     /// Two small turns about the middle of `cameras`, nearer and further, with a look at what they look at: for scenes
     /// that face one way.
+    ///
+    /// # Errors
+    /// [`PathError::Empty`] without cameras.
     pub fn spiral(cameras: &[Camera]) -> Result<Self, PathError> {
         let first = cameras.first().ok_or(PathError::Empty)?;
         let around = Surroundings::new(cameras);

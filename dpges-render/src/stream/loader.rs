@@ -28,6 +28,9 @@ pub struct Levels {
 
 impl Levels {
     /// Opens the folder or address `place`.
+    ///
+    /// # Errors
+    /// The errors of [`Source::new`], [`Source::index`], [`Source::read`], [`Source::cameras`] and [`LodScene::new`].
     pub fn open(place: &Path, budget: usize) -> Result<Self, StreamError> {
         let source = Source::new(place)?;
         let scene = LodScene::new(source.index()?, |part| source.read(part))?;
@@ -94,6 +97,9 @@ impl Loader {
 
     /// Goes on until everything is there that `camera` needs, and nothing fades. Returns the largest number of primitives
     /// that were resident on the way.
+    ///
+    /// # Errors
+    /// [`StreamError::Cell`] if a cell cannot be loaded.
     pub fn complete(&mut self, renderer: &mut Renderer, camera: &Camera) -> Result<usize, StreamError> {
         let mut most = 0;
         loop {

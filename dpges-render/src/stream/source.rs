@@ -121,6 +121,8 @@ impl Source {
         })
     }
 
+    /// # Errors
+    /// As [`index`](Self::index).
     pub fn read(&self, part: &Part) -> Result<Vec<u8>, StreamError> {
         match self {
             Self::Folder(folder) => Ok(Index::read_part(folder, part)?),

@@ -41,6 +41,9 @@ pub fn shares_of_points(cameras: &[&Camera], points: &[[f32; 3]], parts: &[Part]
 }
 
 /// `[views][parts]` shares of the pixels of each of `cameras` at which `scene` shows a surface in a part, by their median depth.
+///
+/// # Errors
+/// [`dpges_core::Error`] if a view cannot be rendered.
 pub fn shares_of_scene(cameras: &[&Camera], scene: &SceneData, parts: &[Part], place: &Place) -> Result<Vec<Vec<f64>>> {
     let renderer = Renderer::on_ranks(scene, place);
     let of_camera = |camera: &&Camera| {

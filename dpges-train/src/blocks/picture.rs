@@ -80,6 +80,9 @@ impl Ground {
 
 impl Plan {
     /// Writes `plan.json` and `plan.png` to `folder`.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
     pub fn save(&self, folder: &Path, dataset: &Dataset) -> Result<()> {
         std::fs::create_dir_all(folder).map_err(|source| Error::Io {
             action: "cannot make folder",

@@ -51,6 +51,9 @@ fn views(dataset: &Dataset) -> (Vec<&View>, usize) {
 
 impl Plan {
     /// Plans runs of `config` on the blocks of `dataset`, which commands call `name`. Cameras are found by points.
+    ///
+    /// # Errors
+    /// [`BlocksError`] says what does not fit.
     pub fn new(name: String, dataset: &Dataset, config: Config, limit: Limit) -> Result<Self> {
         if config.train.method != Method::Dpges {
             return Err(BlocksError::Method);
@@ -81,6 +84,9 @@ impl Plan {
     }
 
     /// Finds the cameras of all blocks anew, by what they see of the coarse `scene` of `dataset`.
+    ///
+    /// # Errors
+    /// [`BlocksError::Core`] if a view cannot be rendered.
     pub fn assign_by_scene(&mut self, dataset: &Dataset, scene: &SceneData, place: &Place) -> Result<()> {
         let (views, train) = views(dataset);
         let cameras: Vec<&Camera> = views.iter().map(|view| &view.camera).collect();

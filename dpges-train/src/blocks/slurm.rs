@@ -16,6 +16,9 @@ impl Capture {
     /// Writes into the folder of the plan: `coarse.sbatch`; `blocks.sbatch`, an array with a job for each block; `merge.sbatch`;
     /// and `submit.sh`, which submits each to follow the one before. A job asks for a GPU unless `device` is a CPU, and goes on
     /// where it was if it is requeued. Returns the paths, one a line.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
     pub fn write_slurm(&self, device: DeviceRequest) -> Result<String> {
         let program = std::env::current_exe().map_err(|source| Error::Io {
             action: "cannot find",

@@ -76,6 +76,9 @@ pub struct Capture {
 
 impl Capture {
     /// The plan in `folder`.
+    ///
+    /// # Errors
+    /// Those of [`Plan::load`].
     pub fn open(folder: &Path) -> Result<Self> {
         let plan = Plan::load(folder)?;
         let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
@@ -125,6 +128,9 @@ impl Capture {
     }
 
     /// Waits until no other process works on a step, and keeps others from it until the result is dropped.
+    ///
+    /// # Errors
+    /// If the folder of the step cannot be written.
     pub fn lock(&self, step: Step) -> Result<File> {
         let path = self.file(step, LOCK);
         let open = || -> std::io::Result<File> {
@@ -227,6 +233,9 @@ impl Capture {
     }
 
     /// Writes the files that the run of a step begins with.
+    ///
+    /// # Errors
+    /// If a scene cannot be read, or a file not be written.
     pub fn prepare(&self, step: Step) -> Result<()> {
         let folder = self.run_folder(step).path().to_owned();
         std::fs::create_dir_all(&folder).map_err(|source| Error::Io {
@@ -259,6 +268,9 @@ impl Capture {
 
     /// Ends a step whose run is at its end. After the coarse scene, cameras are found by that, on `dataset`, all views of the
     /// capture.
+    ///
+    /// # Errors
+    /// If a view cannot be rendered, or a file not be read or written.
     pub fn finish(&mut self, step: Step, dataset: &Dataset, place: &Place) -> Result<()> {
         let scene = SceneData::load(&self.run_folder(step).scene())?;
         if step == Step::Coarse {

@@ -40,6 +40,9 @@ impl Config {
 
     /// Like [`resolve`](Self::resolve), with each `key=value` of `of_dataset` above the defaults and below the preset.
     /// [What the method brings with it](super::Method::settings) comes between the two.
+    ///
+    /// # Errors
+    /// Any [`ConfigError`].
     pub fn resolve_for(
         of_dataset: &[&str],
         preset: Option<&str>,
@@ -76,6 +79,9 @@ impl Config {
     /// The section `[data]` of `file`, the configuration of a run, with each `key=value` of `set` on top. Other sections
     /// of the file are ignored, and former keys without which the dataset is read as it was: a scene can be older than the
     /// keys that it was trained with.
+    ///
+    /// # Errors
+    /// Any [`ConfigError`].
     pub fn resolve_data(file: Option<&Path>, set: &[String]) -> Result<DataConfig, ConfigError> {
         let mut config = Self::default();
         if let Some(path) = file {
@@ -94,6 +100,9 @@ impl Config {
     }
 
     /// `file`, the configuration of a run of this or an earlier version, without keys that are no more.
+    ///
+    /// # Errors
+    /// Any [`ConfigError`].
     pub fn of_run(file: &Path) -> Result<Self, ConfigError> {
         let mut config = Self::default();
         let (mut table, origin) = read(file)?;
@@ -165,6 +174,9 @@ impl Config {
 }
 
 /// The TOML of a preset.
+///
+/// # Errors
+/// [`ConfigError::UnknownPreset`].
 pub fn preset_text(name: &str) -> Result<&'static str, ConfigError> {
     let found = PRESETS.iter().find(|(known, _)| *known == name);
     found.map(|(_, text)| *text).ok_or_else(|| {

@@ -123,6 +123,9 @@ pub mod check {
 
     /// The first hardware GPU of `adapters`, best kind first, that passes `check`, or else the CPU. `check` returns how
     /// long it took, or what is wrong with the adapter.
+    ///
+    /// # Errors
+    /// [`DeviceError::NoCpu`] if there is no such GPU and the build has no CPU backend.
     pub fn select_from(
         adapters: &[Adapter],
         mut check: impl FnMut(DeviceName) -> Result<Duration, String>,

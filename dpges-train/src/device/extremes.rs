@@ -57,6 +57,9 @@ pub struct Refused {
 }
 
 /// Renders the scenes of the first `count` seeds in every way on `device`. Calls `progress` after each.
+///
+/// # Errors
+/// [`Refused`] if a scene cannot be rendered.
 pub fn measure(
     count: u64,
     device: &Device,

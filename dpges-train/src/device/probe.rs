@@ -12,6 +12,9 @@ const LIMIT: Duration = Duration::from_secs(25);
 
 /// The [`Selection`] that this program prints as JSON in another process when it is started with `arguments`; the CPU if it
 /// prints none in time.
+///
+/// # Errors
+/// [`DeviceError::NoCpu`] if the build has no CPU backend either.
 pub fn select_in_child(arguments: &[&str]) -> Result<Selection, DeviceError> {
     in_child(arguments).or_else(choice::cpu)
 }

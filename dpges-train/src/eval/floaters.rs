@@ -55,6 +55,9 @@ impl Votes {
 impl Visibility {
     /// Votes of the training views on `surfels` and `gaussians`; `None` if the dataset does not say which view saw
     /// what.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error`] if the primitives cannot be rendered.
     pub fn measure(
         surfels: &Surfels,
         gaussians: &Gaussians,

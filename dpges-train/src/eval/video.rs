@@ -84,6 +84,8 @@ impl Video {
         Ok(Self { encoder, program: program.to_owned(), file: file.to_owned(), unfinished })
     }
 
+    /// # Errors
+    /// [`VideoError::Failed`].
     pub fn take(&mut self, picture: &Rgb8Image) -> Result<(), VideoError> {
         let written = self.encoder.stdin.as_mut().map(|input| input.write_all(&picture.bytes));
         match written {
@@ -94,6 +96,9 @@ impl Video {
     }
 
     /// Completes the file; returns its path.
+    ///
+    /// # Errors
+    /// [`VideoError::Failed`], [`VideoError::Write`].
     pub fn finish(mut self) -> Result<PathBuf, VideoError> {
         drop(self.encoder.stdin.take());
         if !self.encoder.wait().is_ok_and(|status| status.success()) {

@@ -15,6 +15,9 @@ use crate::metrics::{METRICS, Scores};
 
 /// Writes the worst of `views` by each metric of their `evaluation` as `worst_METRIC.png` into `folder`. Returns what is worst
 /// and where its picture is.
+///
+/// # Errors
+/// If a view cannot be rendered, or a picture not be written.
 pub fn write(folder: &Path, evaluation: &Evaluation, views: &[View], renderer: &Renderer) -> Result<Vec<String>> {
     let scores: Vec<Scores> = evaluation.views.iter().map(|view| view.scores).collect();
     let mut pictures: BTreeMap<usize, Rgb8Image> = BTreeMap::new();

@@ -37,6 +37,9 @@ pub fn is_lod(path: &Path) -> bool {
 }
 
 /// Describes the folder `path`.
+///
+/// # Errors
+/// The errors of [`Index::open`].
 pub fn describe(path: &Path) -> Result<Description> {
     Ok(of(&Index::open(path)?))
 }

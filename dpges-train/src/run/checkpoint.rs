@@ -85,6 +85,9 @@ impl Checkpoint {
     }
 
     /// Writes the whole file or nothing.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Write`] if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), CheckpointError> {
         Ok(write_atomically(path, |out| std::io::Write::write_all(out, &self.to_bytes()))?)
     }
@@ -100,6 +103,9 @@ impl Checkpoint {
     }
 
     /// The checkpoint of the whole scene, from the parts of all ranks in their order.
+    ///
+    /// # Errors
+    /// A message if they do not fit each other.
     pub fn join(mut parts: Vec<Self>) -> Result<Self, String> {
         let first = parts.first().ok_or("there is no part of any rank")?;
         if parts.iter().any(|part| part.state.completed_steps != first.state.completed_steps) {
@@ -162,12 +168,18 @@ impl Checkpoint {
     }
 
     /// Reads a file that [`save`](Self::save) has written.
+    ///
+    /// # Errors
+    /// [`CheckpointError`] names the file and what is wrong with it.
     pub fn load(path: &Path) -> Result<Self, CheckpointError> {
         let bytes = std::fs::read(path).map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
         Self::from_bytes(&bytes, path)
     }
 
     /// From the bytes of the file at `path`.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Content`] says what is wrong with them.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, CheckpointError> {
         parse(bytes).map_err(|reason| CheckpointError::Content { path: path.to_owned(), reason })
     }

@@ -199,6 +199,9 @@ impl RunFolder {
     }
 
     /// Checks that there is a checkpoint.
+    ///
+    /// # Errors
+    /// [`RunFolderError::NoCheckpoint`] if there is none.
     pub fn check_resumable(&self) -> Result<(), RunFolderError> {
         if self.has_checkpoint() {
             return Ok(());
@@ -211,6 +214,9 @@ impl RunFolder {
     }
 
     /// Makes the folder, removes the files of an earlier run and nothing else, and writes `run.json` and `config.toml`.
+    ///
+    /// # Errors
+    /// [`RunFolderError::File`] if a file cannot be removed or written.
     pub fn start(&self, origin: &Origin, config: &Config) -> Result<(), RunFolderError> {
         let pictures = self.pictures();
         let shown = files_in(&pictures, |name| name.starts_with("step_") && name.ends_with(".png"));
@@ -221,6 +227,8 @@ impl RunFolder {
         Ok(self.write_config(config)?)
     }
 
+    /// # Errors
+    /// [`Error::Io`].
     pub fn write_config(&self, config: &Config) -> Result<(), Error> {
         write_atomically(&self.config(), |file| file.write_all(config.to_toml().as_bytes()))
     }
@@ -255,12 +263,17 @@ impl RunFolder {
     }
 }
 
+/// # Errors
+/// [`Error::Io`] naming `path`.
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Error> {
     let read = || -> std::io::Result<T> { Ok(serde_json::from_slice(&std::fs::read(path)?)?) };
     read().map_err(failed("cannot read", path))
 }
 
 /// Writes `value` as indented JSON, the whole file or nothing.
+///
+/// # Errors
+/// [`Error::Io`].
 pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
     write_atomically(path, |file| {
         serde_json::to_writer_pretty(&mut *file, value)?;
@@ -286,6 +299,9 @@ pub fn failed<'a>(action: &'static str, path: &'a Path) -> impl FnOnce(std::io::
 }
 
 /// Removes a file, if it is there.
+///
+/// # Errors
+/// [`Error::Io`].
 pub fn remove(path: &Path) -> Result<(), Error> {
     match std::fs::remove_file(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),

@@ -30,6 +30,9 @@ pub struct MetricsLog {
 
 impl MetricsLog {
     /// An empty log, in place of any other.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
     pub fn create(path: &Path) -> Result<Self> {
         write_atomically(path, |_| Ok(()))?;
         Self::open(path)
@@ -38,6 +41,9 @@ impl MetricsLog {
     /// The log of a run that goes on after step `completed_steps`, and the seconds that the run had taken by then. Lines
     /// of later steps are dropped, as is a line that was never finished, and the evaluation after `completed_steps` if
     /// it `evaluates_again`: they all come again. A log that is missing starts anew.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
     pub fn resume(path: &Path, completed_steps: usize, evaluates_again: bool) -> Result<(Self, f64)> {
         let text = match std::fs::read_to_string(path) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
@@ -57,6 +63,9 @@ impl MetricsLog {
     }
 
     /// Seconds that the run of the log at `path` had taken at its last logged step, evaluations on the way included.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
     pub fn seconds_of_steps(path: &Path) -> Result<f64> {
         let text = std::fs::read_to_string(path).map_err(failed("cannot read", path))?;
         let mut latest_first = text.lines().rev().filter_map(|line| serde_json::from_str::<Value>(line).ok());
@@ -70,6 +79,9 @@ impl MetricsLog {
     }
 
     /// Appends a step; `seconds` is the time of the whole run so far.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
     pub fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         let mut line = json!({
             "kind": "step", "step": report.step, "stage": report.stage.to_string(), "view": report.view,
@@ -84,6 +96,9 @@ impl MetricsLog {
     }
 
     /// Appends an evaluation of the held-out views; `seconds` is the time of the whole run so far.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
     pub fn evaluation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
         let mut line = line_of("evaluation", step, evaluation, seconds);
         line["seconds_per_view"] = json!(evaluation.seconds_per_view);
@@ -91,6 +106,9 @@ impl MetricsLog {
     }
 
     /// Appends an evaluation of the validation views; `seconds` is the time of the whole run so far.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
     pub fn validation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
         self.append(&line_of("validation", step, evaluation, seconds))
     }

@@ -82,6 +82,9 @@ impl Scene {
     }
 
     /// The scene file that `path` names, which is there.
+    ///
+    /// # Errors
+    /// [`SceneError::Absent`].
     pub fn check(path: &Path) -> Result<PathBuf> {
         let path = if path.is_dir() { RunFolder::new(path).scene() } else { path.to_owned() };
         if path.is_file() {
@@ -103,6 +106,9 @@ impl Scene {
     }
 
     /// Time that its training took, s; `None` unless the file is the result of a run.
+    ///
+    /// # Errors
+    /// If the log of the run cannot be read.
     pub fn training_seconds(&self) -> Result<Option<f64>> {
         let Some(run) = self.run.as_ref().filter(|run| run.scene() == self.path && run.metrics().is_file()) else {
             return Ok(None);
@@ -117,6 +123,9 @@ impl Scene {
 
     /// Where the training cameras of the dataset are by the run that the scene comes from: nowhere else than it says if the run
     /// has not refined their poses, or if the dataset is another one, `data`.
+    ///
+    /// # Errors
+    /// If the file of poses is broken.
     pub fn refined_poses(&self, data: Option<&Path>) -> Result<RefinedPoses> {
         let run = self.run.as_ref().filter(|_| data.is_none());
         Ok(run.map(RunFolder::read_poses).transpose()?.flatten().unwrap_or_default())

@@ -45,6 +45,9 @@ pub static VARIANTS: LazyLock<Vec<Variant>> = LazyLock::new(|| {
 
 /// The variants whose labels are in `only`, in the order of all. If that is empty, those of the paper's table, less those
 /// that leave the configuration as it is; the second list has the labels of these.
+///
+/// # Errors
+/// Those of `resolve`, which makes a configuration of `key=value`.
 pub fn chosen<E>(
     only: &[String],
     resolve: impl Fn(&[String]) -> Result<Config, E>,

@@ -30,6 +30,9 @@ pub struct Further<'a> {
 
 impl Further<'_> {
     /// Adds what the evaluation of a finished `cell` lacks to its file.
+    ///
+    /// # Errors
+    /// If the scene or the evaluation cannot be read, or a view cannot be rendered.
     pub fn measure(&self, cell: &Cell) -> Result<()> {
         let (path, views) = (cell.folder.evaluation(), &self.dataset.test);
         let mut report = read(&path)?;

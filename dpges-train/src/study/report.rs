@@ -35,6 +35,9 @@ code { overflow-wrap: anywhere; }
 ";
 
 /// Writes everything but the JSON, of a finished study; returns the paths of all files, one a line.
+///
+/// # Errors
+/// If a file cannot be written, or a picture of a row cannot be read.
 pub fn write(study: &Study) -> Result<String> {
     let name = study.shape.name;
     let mut paths = String::new();

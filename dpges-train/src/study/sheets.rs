@@ -20,6 +20,9 @@ const FOLDER: &str = "pictures";
 
 /// Writes a PNG for each chosen one of the held-out `views` into the folder `out` of a study: photograph · each of `cells`,
 /// which are finished; below each its error.
+///
+/// # Errors
+/// If a scene or an evaluation cannot be read, a view cannot be rendered, or a file cannot be written.
 pub fn write(out: &Path, cells: &[&Cell], views: &[View], device: &Device) -> Result<Vec<Figure>> {
     let scores: Vec<Vec<ViewScore>> = cells
         .iter()

@@ -106,6 +106,9 @@ impl Study {
     }
 
     /// Adds a row to the file.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
     pub fn add(&mut self, row: Row) -> Result<()> {
         self.content.rows.push(row);
         self.save()
@@ -127,6 +130,9 @@ impl Study {
     }
 
     /// Completes the file.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
     pub fn finish(&mut self) -> Result<()> {
         let groups = groups(&self.content.rows);
         let labels = |cost: &Measure| {
@@ -147,6 +153,8 @@ impl Study {
         self.content.frontiers.values().flatten().any(|best| best == label)
     }
 
+    /// # Errors
+    /// If it cannot be written.
     pub fn save(&self) -> Result<()> {
         Ok(write_json(&self.path(), &self.content)?)
     }

@@ -52,6 +52,9 @@ impl Index {
     }
 
     /// The bytes of a part of this index, of `folder`.
+    ///
+    /// # Errors
+    /// [`Error::Io`] naming the file.
     pub fn read_part(folder: &Path, part: &Part) -> Result<Vec<u8>> {
         let path = folder.join(&part.file);
         read_range(&path, part).map_err(unreadable(&path))

@@ -82,6 +82,9 @@ impl Fusion {
     }
 
     /// The surface between what was seen and what lies behind it.
+    ///
+    /// # Errors
+    /// [`ExportError::NoSurface`] if there is none.
     pub fn finish(self) -> Result<TriangleMesh, ExportError> {
         let mesh = extract(&self.field, self.options.voxel);
         if mesh.triangles.is_empty() { Err(ExportError::NoSurface) } else { Ok(mesh) }

@@ -58,6 +58,9 @@ pub fn launched() -> Option<Launched> {
 
 impl Job {
     /// Joins the job; once in a process.
+    ///
+    /// # Errors
+    /// [`JobError`] says what to do.
     pub fn join() -> Result<Self, JobError> {
         match launched() {
             None => Ok(Self {

@@ -41,12 +41,18 @@ pub struct Compressed {
 
 impl Compressed {
     /// For a file at `path`, which errors name and which is not written.
+    ///
+    /// # Errors
+    /// The errors of [`SceneData::to_compressed`].
     pub fn new(scene: &SceneData, quality: &Quality, path: &Path) -> dpges_core::Result<Self> {
         let bytes = scene.to_compressed(quality, path)?;
         Ok(Self { quality: *quality, bytes, path: path.to_owned() })
     }
 
     /// The scene as a reader of the file sees it.
+    ///
+    /// # Errors
+    /// The errors of [`SceneData::from_bytes`].
     pub fn scene(&self) -> dpges_core::Result<SceneData> {
         SceneData::from_bytes(&self.bytes, &self.path.to_string_lossy())
     }

@@ -16,6 +16,9 @@ const POSTER_QUALITY: u8 = 85;
 
 /// Writes the folder `out` with the page built in `page` (see [`find_page`]), `scene`, and `cameras` in its coordinates.
 /// The first is that of the poster picture and of the first view. Returns what was written, as names and values.
+///
+/// # Errors
+/// The errors of [`check_drawn`], [`find_page`] and [`write_html`].
 pub fn write(
     scene: &SceneData,
     cameras: &[Camera],
@@ -50,6 +53,9 @@ pub fn write(
 
 /// Writes the page beside the index of levels of detail in the folder `out`, with the page built in `page` (see [`find_page`])
 /// and `cameras`. Returns a row about it; without a page that is built, and none named, there is only the row.
+///
+/// # Errors
+/// The errors of [`find_page`] and [`write_html`].
 pub fn write_beside_levels(
     cameras: &[Camera],
     title: &str,

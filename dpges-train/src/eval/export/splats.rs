@@ -22,6 +22,9 @@ pub enum SplatFormat {
 }
 
 /// The splats of `scene` with harmonics of `degree`, trained for `steps` on `views`.
+///
+/// # Errors
+/// The errors of [`flatten()`] and [`fit`].
 pub fn splats(
     scene: &SceneData,
     degree: usize,
@@ -42,6 +45,9 @@ pub fn splats(
 }
 
 /// The bytes of a file of `cloud`, and the splats that it holds.
+///
+/// # Errors
+/// The errors of the format.
 pub fn file(cloud: SplatCloud, format: SplatFormat, up: UpAxis) -> Result<(Vec<u8>, SplatCloud), ExportError> {
     Ok(match format {
         SplatFormat::Ply => (to_ply(&cloud, up), cloud),
@@ -55,6 +61,9 @@ pub fn file(cloud: SplatCloud, format: SplatFormat, up: UpAxis) -> Result<(Vec<u
 }
 
 /// PSNR of `scene` and of `cloud` in its place, mean over `views`, dB.
+///
+/// # Errors
+/// The errors of [`evaluate`].
 pub fn loss(scene: &SceneData, cloud: &SplatCloud, views: &[View], device: &Device) -> Result<[f64; 2]> {
     let before = evaluate(scene, views, device)?.psnr;
     Ok([before, evaluate(&in_front_of(cloud, scene), views, device)?.psnr])

@@ -161,6 +161,9 @@ impl Renderer {
     }
 
     /// The image [3, H, W] from the `camera` of a `probe`, on the tape of the probe; the scene is not. Of a rank alone.
+    ///
+    /// # Errors
+    /// The errors of [`render`](Self::render).
     pub fn render_probed(&self, camera: &Camera, probe: &PoseProbe) -> Result<Tensor<3>> {
         let taped = Self {
             surfels: self.surfels.map_ref(|_, tensor| tensor.clone().autodiff()),
@@ -183,6 +186,9 @@ impl Renderer {
     /// The view from `camera` and its median depth [height × width]: that of the first surfel, or of the first
     /// blended Gaussian, behind which no more than half of the light passes, world units; 0 where there is none. Of summed
     /// Gaussians, which have no order, it is their mean depth where they have at least half of the weight.
+    ///
+    /// # Errors
+    /// The errors of [`render`](Self::render).
     pub fn render_with_depth(&self, camera: &Camera) -> Result<(Rendered, Vec<f32>)> {
         let mut options = self.options.clone();
         match &mut options {
@@ -225,6 +231,9 @@ impl Renderer {
 
     /// How many primitives float, see [`floaters`](crate::eval::floaters); `None` if `dataset`, in the coordinates of
     /// the scene, does not say which view saw what.
+    ///
+    /// # Errors
+    /// As [`render_on_ranks`].
     pub fn floaters(&self, dataset: &Dataset) -> Result<Option<Floaters>> {
         let peel = match &self.options {
             Options::Peeled(options) => options.peel,
@@ -240,6 +249,9 @@ impl Renderer {
     }
 
     /// How long pictures from `cameras` take.
+    ///
+    /// # Errors
+    /// As [`render_on_ranks`].
     pub fn frame_times(&self, cameras: &[Camera], rounds: Rounds) -> Result<FrameTimes> {
         let mut times = Vec::new();
         for round in 0..rounds.warm_up + rounds.counted {

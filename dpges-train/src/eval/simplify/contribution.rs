@@ -22,6 +22,9 @@ impl Contributions {
     /// Renders `scene` on `device` from each of `cameras`, in its coordinates. A pixel is linear in the colours of the
     /// primitives, so that the gradient of the sum of all pixels with respect to a colour is the sum of the primitive's
     /// weights. Colours are replaced by grey: one that is clamped has no gradient.
+    ///
+    /// # Errors
+    /// The errors of [`render`], [`render_blended`] and [`render_summed`].
     pub fn measure(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
         let mut sums = Self { surfels: vec![0.0; scene.surfels.len()], gaussians: vec![0.0; scene.gaussians.len()] };
         let mut scene = SceneData { environment: None, ..scene.clone() };

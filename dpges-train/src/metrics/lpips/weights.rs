@@ -36,6 +36,9 @@ impl Weights {
 
     /// Reads a file in the format of `docs/guide/measure.md`: safetensors with the metadata `network` and `version`, and the
     /// tensors of [`Network::tensors`] in f32, and no others.
+    ///
+    /// # Errors
+    /// [`LpipsError`], which names the file and the tensor.
     pub fn load(path: &Path) -> Result<Self, LpipsError> {
         let bytes = std::fs::read(path).map_err(|source| LpipsError::Io { path: path.to_owned(), source })?;
         Self::read(&bytes).map_err(|reason| LpipsError::Content { path: path.to_owned(), reason })

@@ -65,6 +65,9 @@ enum Hardware {
 
 impl Report {
     /// The report of a step of `scene` on `device`, from `camera` and others. Alone; see [`of_ranks`](Self::of_ranks).
+    ///
+    /// # Errors
+    /// [`DeviceError`] if the device is not there.
     pub fn new(scene: String, device: DeviceName, camera: &Camera, cost: StepCost) -> Result<Self, DeviceError> {
         let adapter = device.describe()?;
         let mut not_measured = Vec::new();

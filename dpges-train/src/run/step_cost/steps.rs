@@ -67,10 +67,14 @@ impl Steps {
         if is_gpu(&self.context.device) { Ok(()) } else { self.settle() }
     }
 
+    /// # Errors
+    /// The errors of [`step`](Self::step).
     pub fn settle(&mut self) -> Result<(), TrainError> {
         self.pending.take().map_or(Ok(()), |step| step.settle().map(drop))
     }
 
+    /// # Errors
+    /// The errors of [`step`](Self::step).
     pub fn step_and_settle(&mut self) -> Result<(), TrainError> {
         self.settle()?;
         self.step()?;
@@ -78,6 +82,9 @@ impl Steps {
     }
 
     /// The tile lists of the first view, of the scene as it was given.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if it cannot be rendered.
     pub fn lists(&self) -> Result<Lists, TrainError> {
         let camera = &self.context.dataset.train[0].camera;
         Ok(Lists::new(&self.scene, self.kind(), camera, &self.context.device)?)

@@ -24,6 +24,9 @@ pub fn with_unit(text: &str) -> Option<Result<Duration, String>> {
 }
 
 /// A length of time.
+///
+/// # Errors
+/// If `text` is none.
 pub fn duration(text: &str) -> Result<Duration, String> {
     with_unit(text)
         .unwrap_or_else(|| Err(format!("`{text}` is no length of time: write it in s, min or h, as in 30min")))

@@ -119,6 +119,9 @@ impl Target {
     }
 
     /// Changes `config` so that a run on `dataset` and `device` reaches the target. Says what is expected.
+    ///
+    /// # Errors
+    /// If that cannot be, or what is measured fails.
     pub fn pursue(&self, config: &mut Config, dataset: &Arc<Dataset>, device: &Device) -> Result<Pursuit, TargetError> {
         let asked = self.text.clone();
         let pursuit = match self.wanted {
@@ -156,6 +159,8 @@ impl Unit {
 }
 
 impl Pursuit {
+    /// # Errors
+    /// [`dpges_core::Error::Io`].
     pub fn save(&self, folder: &RunFolder) -> dpges_core::Result<()> {
         write_json(&folder.target(), self)
     }
@@ -163,6 +168,9 @@ impl Pursuit {
 
 /// The result of the target of the finished run in `folder`, as text; `None` if it had none. The evaluation of the run
 /// contains it too.
+///
+/// # Errors
+/// If a file of the run cannot be read or written, or frames cannot be measured.
 pub fn conclude(folder: &RunFolder) -> Result<Option<String>, TargetError> {
     let path = folder.target();
     if !path.is_file() {

@@ -32,6 +32,9 @@ const ROUNDS: Rounds = Rounds { warm_up: 2, counted: 10 };
 impl Benchmark {
     /// Measures what the paper's tables have of a finished `cell`, and leaves its row in its folder. `name` is the device that
     /// it was trained on.
+    ///
+    /// # Errors
+    /// If the scene or the evaluation cannot be read, a view cannot be rendered, or the row not be written.
     pub fn measure(
         &self,
         planned: &Planned,

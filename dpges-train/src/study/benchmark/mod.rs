@@ -78,6 +78,9 @@ impl Planned {
 
 impl Benchmark {
     /// The cells of all scenes and methods with the first seed, then with the second, and so on.
+    ///
+    /// # Errors
+    /// [`layout::LayoutError`].
     pub fn find(request: Request) -> Result<Self> {
         let is_named = |way: &Way| match &request.methods[..] {
             [] => !way.is_ablation,
@@ -138,6 +141,9 @@ impl Benchmark {
     }
 
     /// Waits until no other process works on a cell, and keeps others from it until the result is dropped.
+    ///
+    /// # Errors
+    /// If its folder cannot be written.
     pub fn lock(&self, planned: &Planned) -> Result<File> {
         let folder = self.folder(planned);
         std::fs::create_dir_all(&folder)?;
@@ -185,6 +191,9 @@ impl Benchmark {
     }
 
     /// Collects all rows and writes the tables. Returns them in Markdown, and the paths of the files, one a line.
+    ///
+    /// # Errors
+    /// Those of [`study`](Self::study); if a file cannot be written.
     pub fn report(&self) -> Result<String> {
         let study = self.study()?;
         study.save()?;

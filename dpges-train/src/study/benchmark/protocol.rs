@@ -62,6 +62,9 @@ impl Protocol {
 
     /// Gives a run its length, and the intervals that follow from it. Evaluations on the way would count as training time, so
     /// there are none that nothing depends on.
+    ///
+    /// # Errors
+    /// Those of [`Config::scale_steps`].
     pub fn scale(&self, config: &mut Config) -> Result<(), ConfigError> {
         config.scale_steps(self.steps_scale)?;
         config.train.checkpoint_every = (config.train.steps / CHECKPOINTS).max(1);

@@ -14,6 +14,9 @@ impl Benchmark {
     /// Writes into `folder`: `cells.txt`, the cells that are not done; `cells.sbatch`, an array of jobs, one for each, with the
     /// command that this program runs for a cell on `device`; `tables.sbatch`, which writes the tables; and `submit.sh`, which
     /// submits the second to follow the first. Returns the paths, one a line.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
     pub fn write_slurm(&self, folder: &Path, device: DeviceRequest) -> Result<String> {
         std::fs::create_dir_all(folder)?;
         let folder = std::path::absolute(folder)?;

@@ -11,6 +11,9 @@ use super::tables::{Column, Entry, Line, Mark, Order, Table, Tables};
 
 /// Writes `tables.md`, `tables.csv` and `tables.tex` into the folder of `study`. Returns the tables in Markdown, and the paths,
 /// one a line.
+///
+/// # Errors
+/// If a file cannot be written.
 pub fn write(tables: &Tables, study: &Study, protocol: &Protocol) -> Result<(String, String)> {
     let sentences = sentences(tables, study, protocol);
     let markdown = markdown(tables, &sentences);

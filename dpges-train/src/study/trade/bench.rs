@@ -56,6 +56,9 @@ impl Bench<'_> {
     }
 
     /// The row of `scene`, drawn as those of `changes` say that are no part of it. Its first picture is kept.
+    ///
+    /// # Errors
+    /// If the scene cannot be drawn, or the picture not be written.
     pub fn row(&self, scene: &SceneData, changes: &[Change], label: &str, seed: Option<u64>) -> Result<Row> {
         let mut row = Row::new(label, seed);
         row.settings = changes.iter().map(Change::to_string).collect();

@@ -24,6 +24,9 @@ pub struct Sweep<'a> {
 
 impl Sweep<'_> {
     /// Measures the rows that `study` lacks.
+    ///
+    /// # Errors
+    /// If a scene cannot be drawn, or a file not be written.
     pub fn measure(&self, study: &mut Study) -> Result<()> {
         let mut singles = Change::all(self.scene, self.bench.sums_floats());
         singles.retain(|change| (self.is_wanted)(change.knob()));
