@@ -14,8 +14,7 @@ struct Pair {
 fn main() -> Result<()> {
     let device = backend::device::cpu().autodiff();
     let camera_from_world = CameraFromWorld::look_at([0.0, 0.0, -4.0].into(), [0.0; 3].into(), [0.0, -1.0, 0.0].into());
-    let camera =
-        Camera { camera_from_world, fx: 60., fy: 60., cx: 24., cy: 24., width: 48, height: 48, near: 0.01, lens: None };
+    let camera = Camera::pinhole(camera_from_world, 60.0, [48, 48], 0.01);
     let row = |values: &[f32]| Param::from_data(TensorData::new(values.to_vec(), [1, values.len()]), &device);
     let surfel = [row(&[0.0; 3]), row(&[-1.5; 2]), row(&[0.0; 3])];
     let mut pair = Pair { surfel, gaussian: [row(&[0.0, 0.0, -0.5]), row(&[-1.5; 3]), row(&[0.0; 3])] };

@@ -12,15 +12,13 @@ fn main() -> std::result::Result<(), Box<dyn std::error::Error>> {
 
     let eye = scene.info.extent * DVec3::new(0.6, -0.7, 0.4);
     let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
-    let (width, height, near) = (320, 240, scene.info.near);
-    let camera =
-        Camera { camera_from_world, fx: 300.0, fy: 300.0, cx: 160.0, cy: 120.0, width, height, near, lens: None };
+    let camera = Camera::pinhole(camera_from_world, 300.0, [320, 240], scene.info.near);
     let view = render(&surfels, &gaussians, &camera, &RenderOptions::from(&scene.info))?;
 
     let rows = view.composite.image.permute([1, 2, 0]).clamp(0.0, 1.0) * 255.0;
     let pixels: Vec<u8> = rows.into_data().iter::<f32>().map(|value| value.round() as u8).collect();
     let picture = arguments.next().unwrap_or_else(|| std::env::temp_dir().join("dpges.png").display().to_string());
-    image::save_buffer(&picture, &pixels, width as u32, height as u32, image::ColorType::Rgb8)?;
+    image::save_buffer(&picture, &pixels, camera.width as u32, camera.height as u32, image::ColorType::Rgb8)?;
     println!("{} surfels and {} Gaussians in {picture}", surfels.len(), gaussians.len());
     Ok(())
 }

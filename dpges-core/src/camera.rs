@@ -124,6 +124,13 @@ impl Camera {
         }
     }
 
+    /// A pinhole camera whose axis meets the middle of the picture; `focal_px` is the focal length both ways, `near` in world
+    /// units.
+    pub fn pinhole(camera_from_world: CameraFromWorld, focal_px: f64, [width, height]: [usize; 2], near: f64) -> Self {
+        let [cx, cy] = [width, height].map(|px| 0.5 * px as f64);
+        Self { camera_from_world, fx: focal_px, fy: focal_px, cx, cy, width, height, near, lens: None }
+    }
+
     /// The pinhole camera with the same intrinsics.
     pub fn without_lens(&self) -> Self {
         Self { lens: None, ..*self }

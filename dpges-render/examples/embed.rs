@@ -23,9 +23,7 @@ impl eframe::App for Turntable {
         ui.add(egui::Slider::new(&mut self.angle, 0.0..=std::f64::consts::TAU).text("angle"));
         let eye = 2.5 * DVec3::new(self.angle.cos(), self.angle.sin(), 0.5);
         let camera_from_world = CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z);
-        let (f, c) = (SIZE as f64, 0.5 * SIZE as f64);
-        let camera =
-            Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: SIZE, height: SIZE, near: 0.01, lens: None };
+        let camera = Camera::pinhole(camera_from_world, SIZE as f64, [SIZE, SIZE], 0.01);
         self.renderer.submit(&self.view, &camera, &self.options).expect("there is a scene");
         self.renderer.finish_frame();
         ui.image((self.picture, egui::Vec2::splat(SIZE as f32)));

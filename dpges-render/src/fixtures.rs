@@ -10,9 +10,8 @@ pub fn camera(eye: [f64; 3], focal_px: f64) -> Camera {
 }
 
 /// The principal point is in the middle.
-pub fn pinhole(camera_from_world: CameraFromWorld, focal_px: f64, [width, height]: [usize; 2]) -> Camera {
-    let [cx, cy] = [width, height].map(|px| 0.5 * px as f64);
-    Camera { camera_from_world, fx: focal_px, fy: focal_px, cx, cy, width, height, near: 0.01, lens: None }
+pub fn pinhole(camera_from_world: CameraFromWorld, focal_px: f64, size: [usize; 2]) -> Camera {
+    Camera::pinhole(camera_from_world, focal_px, size, 0.01)
 }
 
 /// Unit vectors, spread evenly over the sphere.

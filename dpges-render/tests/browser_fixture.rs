@@ -78,9 +78,7 @@ fn camera(scene: &SceneData, width: usize, height: usize) -> Camera {
     let extent = scene.info.extent;
     let eye = [0.5, -0.6, 0.35].map(|part| part * extent);
     let camera_from_world = CameraFromWorld::look_at(eye.into(), [0.0; 3].into(), [0.0, 0.0, 1.0].into());
-    let [cx, cy] = [width, height].map(|px| 0.5 * px as f64);
-    let (f, near) = (0.9 * width as f64, scene.info.near);
-    Camera { camera_from_world, fx: f, fy: f, cx, cy, width, height, near, lens: None }
+    Camera::pinhole(camera_from_world, 0.9 * width as f64, [width, height], scene.info.near)
 }
 
 /// As the page takes it.

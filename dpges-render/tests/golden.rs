@@ -184,9 +184,7 @@ fn a_rim_at_the_depth_of_the_core_is_before_it_by_index(headless: &Headless) -> 
     surfels.log_scales.fill(sigma.ln() as f32);
     surfels.colour.base = vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let camera_from_world = CameraFromWorld::look_at(DVec3::Z * 4.0, DVec3::ZERO, DVec3::Y);
-    let (f, c, size) = (10.0, 4.5, 9);
-    let camera =
-        Camera { camera_from_world, fx: f, fy: f, cx: c, cy: c, width: size, height: size, near: 0.01, lens: None };
+    let camera = Camera::pinhole(camera_from_world, 10.0, [9, 9], 0.01);
     let [rim, green, blue] = [0, 1, 2];
     let expected = [
         ([rim, green, blue], [1.0 - through, through, 0.0]),

@@ -30,18 +30,8 @@ const HALF: f64 = 0.5;
 
 /// At the origin.
 pub fn camera(width: usize, height: usize) -> Camera {
-    let focal = width.max(height) as f64;
-    Camera {
-        camera_from_world: CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO },
-        fx: focal,
-        fy: focal,
-        cx: 0.5 * width as f64,
-        cy: 0.5 * height as f64,
-        width,
-        height,
-        near: 0.1,
-        lens: None,
-    }
+    let pose = CameraFromWorld { rotation: DMat3::IDENTITY, translation: DVec3::ZERO };
+    Camera::pinhole(pose, width.max(height) as f64, [width, height], 0.1)
 }
 
 /// `count` surfels and Gaussians that face the camera, with standard deviations of `sigmas_px`, where `place` says for each.

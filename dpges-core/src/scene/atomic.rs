@@ -15,6 +15,15 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut File) -> io::Result
     replace(path, write).map_err(|source| Error::Io { action: "cannot write", path: path.to_owned(), source })
 }
 
+/// Makes a folder and those around it.
+///
+/// # Errors
+/// [`Error::Io`] naming `path`.
+pub fn make_folder(path: &Path) -> Result<()> {
+    let failed = |source| Error::Io { action: "cannot make folder", path: path.to_owned(), source };
+    std::fs::create_dir_all(path).map_err(failed)
+}
+
 fn replace(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,

@@ -1,8 +1,13 @@
 //! Which lobes of a spherical Beta colour are there. In memory every primitive has room for all lobes of the model; one
 //! that is not needed has raw colours so low that it adds nothing, and the scene file leaves it out.
 
+use std::f64::consts::LN_2;
+
 /// Raw numbers of a lobe: r, g, b, θ, φ, β.
 pub const LOBE_LEN: usize = 6;
+
+/// b of the softplus ln(1 + e^(b x)) / b of a lobe's colour (DBS): a raw value of 0 means 0.1.
+pub const SHARPNESS: f64 = 10.0 * LN_2;
 
 /// A lobe whose three raw colours are all this or less is absent: it would add less than 1.2e-31 to any colour.
 pub const ABSENT_BELOW: f32 = -10.0;
@@ -16,6 +21,17 @@ pub const ABSENT_LOBE: [f32; LOBE_LEN] = [ABSENT, ABSENT, ABSENT, 0.0, 0.0, 0.0]
 /// Whether the lobe with the raw numbers `lobe` (r, g, b, θ, φ, β) adds nothing to any colour.
 pub fn is_absent(lobe: &[f32]) -> bool {
     lobe[..3].iter().all(|&raw| raw <= ABSENT_BELOW)
+}
+
+/// A colour of a lobe from its raw number.
+pub fn softplus(raw: f64) -> f64 {
+    let x = SHARPNESS * raw;
+    (x.max(0.0) + (-x.abs()).exp().ln_1p()) / SHARPNESS
+}
+
+/// Unit vector of a lobe with the angles θ and φ, rad.
+pub fn lobe_axis(theta: f64, phi: f64) -> [f64; 3] {
+    [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()]
 }
 
 /// How many lobes each of N = `count` primitives has that are there, of the L = `lobes` in `detail` [N × 6 L].

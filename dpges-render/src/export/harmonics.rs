@@ -2,11 +2,9 @@
 //! as in its rasteriser, order m = −l..l within degree l. `colour = 0.5 + Σ k_i Y_i(direction)`, with the unit direction
 //! from the camera to the primitive.
 
-use dpges_core::scene::lobes::{LOBE_LEN, is_absent};
+use dpges_core::scene::lobes::{LOBE_LEN, is_absent, lobe_axis, softplus};
 use dpges_core::scene::{ColourData, ColourModel, SH_C0};
 use glam::{DMat3, DVec3};
-
-use crate::scene::{lobe_axis, softplus};
 
 /// Largest degree that every format can hold.
 pub const MAX_DEGREE: usize = 3;

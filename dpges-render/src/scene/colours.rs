@@ -4,13 +4,12 @@
 //! exponent 4 exp β, and its axis as a point of the octahedron in steps of 2⁻¹⁵. A coefficient of spherical harmonics
 //! has two. The softplus, the exponential and the sines are computed here, once, not for every frame.
 
+use dpges_core::scene::lobes::{lobe_axis, softplus};
 use dpges_core::scene::{ColourData, ColourModel, SH_C0};
 use half::f16;
 
 use super::packing::fraction;
 
-/// b of the softplus ln(1 + e^(b x)) / b: a raw value of 0 means 0.1.
-const SHARPNESS: f64 = 10.0 * std::f64::consts::LN_2;
 const LOBE_WORDS: usize = 3;
 /// Of a base colour, or of a coefficient.
 const RGB_WORDS: usize = 2;
@@ -57,17 +56,6 @@ fn lobe(raw: &[f32; 6]) -> [u32; LOBE_WORDS] {
     let [r, g, b] = [r, g, b].map(softplus);
     let [u, v] = octahedron(lobe_axis(theta, phi)).map(fraction);
     [halves(r, g), halves(b, 4.0 * beta.exp()), u | v << 16]
-}
-
-/// A colour of a lobe from its raw number.
-pub fn softplus(raw: f64) -> f64 {
-    let x = SHARPNESS * raw;
-    (x.max(0.0) + (-x.abs()).exp().ln_1p()) / SHARPNESS
-}
-
-/// Unit vector of a lobe with these angles, rad.
-pub fn lobe_axis(theta: f64, phi: f64) -> [f64; 3] {
-    [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()]
 }
 
 /// A unit vector as a point of the square from −1 to 1.

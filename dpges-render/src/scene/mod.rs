@@ -6,8 +6,6 @@ mod pages;
 mod textures;
 
 #[cfg(feature = "export")]
-pub(crate) use colours::{lobe_axis, softplus};
-#[cfg(feature = "export")]
 pub(crate) use packing::unit_quaternion;
 pub use pages::PackedCell;
 pub(crate) use pages::{Fades, PAGE, Places, joined};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use dpges_core::Error;
+use dpges_core::scene::atomic::make_folder;
 use dpges_render::Rgb8Image;
 use plotters::prelude::{
     BLACK, BitMapBackend, ChartBuilder, Circle, Color, DrawingAreaErrorKind, DrawingBackend, HSLColor, IntoDrawingArea,
@@ -84,11 +84,7 @@ impl Plan {
     /// # Errors
     /// If a file cannot be written.
     pub fn save(&self, folder: &Path, dataset: &Dataset) -> Result<()> {
-        std::fs::create_dir_all(folder).map_err(|source| Error::Io {
-            action: "cannot make folder",
-            path: folder.to_owned(),
-            source,
-        })?;
+        make_folder(folder)?;
         save_png(&draw(self, dataset)?, &folder.join("plan.png"))?;
         Ok(write_json(&Self::path(folder), self)?)
     }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use dpges_core::Error;
 use dpges_core::scene::SceneData;
+use dpges_core::scene::atomic::make_folder;
 use serde::{Deserialize, Serialize};
 
 use super::plan::{Plan, PlannedBlock};
@@ -237,12 +238,7 @@ impl Capture {
     /// # Errors
     /// If a scene cannot be read, or a file not be written.
     pub fn prepare(&self, step: Step) -> Result<()> {
-        let folder = self.run_folder(step).path().to_owned();
-        std::fs::create_dir_all(&folder).map_err(|source| Error::Io {
-            action: "cannot make folder",
-            path: folder,
-            source,
-        })?;
+        make_folder(self.run_folder(step).path())?;
         let coarse = || SceneData::load(&self.run_folder(Step::Coarse).scene());
         match step {
             Step::Coarse => {}

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use dpges_core::Error;
+use dpges_core::scene::atomic::make_folder;
 use dpges_train::device::DeviceName;
 use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::eval::pictures::{file_stems, save_png};
@@ -126,14 +126,4 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     };
     let summary = table(&report.rows(&worst, notes));
     print_report(Some(args.json.as_deref().unwrap_or(Path::new("-"))), &report, &summary)
-}
-
-/// # Errors
-/// [`Error::Io`] naming `path`.
-pub fn make_folder(path: &Path) -> Result<(), Error> {
-    std::fs::create_dir_all(path).map_err(|source| Error::Io {
-        action: "cannot make folder",
-        path: path.to_owned(),
-        source,
-    })
 }

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use clap::Args;
-use dpges_core::scene::atomic::write_atomically;
+use dpges_core::scene::atomic::{make_folder, write_atomically};
 use dpges_train::config::Config;
 use dpges_train::dataset::capture;
 use dpges_train::dataset::check::{Effort, Report, map, sheet, summary};
@@ -12,7 +12,6 @@ use dpges_train::eval::pictures::save_png;
 use dpges_train::run::folder::write_json;
 
 use super::data::{DataArgs, Source};
-use super::eval::make_folder;
 use super::{Result, print, sfm, table};
 use crate::cli::logging::LogStyle;
 

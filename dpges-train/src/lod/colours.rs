@@ -1,13 +1,9 @@
 //! The colour of primitives that become one.
 
-use std::f64::consts::LN_2;
-
-use dpges_core::scene::lobes::{ABSENT, ABSENT_LOBE, LOBE_LEN, is_absent};
+use dpges_core::scene::lobes::{ABSENT, ABSENT_LOBE, LOBE_LEN, SHARPNESS, is_absent, lobe_axis, softplus};
 use dpges_core::scene::{ColourData, ColourModel, SH_C0};
 use glam::DVec3;
 
-/// Sharpness of the softplus of a lobe's colour (DBS): a raw value of 0 means 0.1.
-const SHARPNESS: f64 = 10.0 * LN_2;
 /// Lobes whose axes are nearer than this cosine are one.
 const ONE_LOBE: f64 = 0.95;
 
@@ -53,11 +49,9 @@ struct Lobe {
 
 impl Lobe {
     fn new(raw: &[f32], share: f64) -> Self {
-        let (theta, phi) = (f64::from(raw[3]), f64::from(raw[4]));
-        let softplus = |raw: f64| ((SHARPNESS * raw).max(0.0) + (-(SHARPNESS * raw).abs()).exp().ln_1p()) / SHARPNESS;
         Self {
             colour: share * DVec3::from_array([0, 1, 2].map(|channel| softplus(raw[channel].into()))),
-            axis: DVec3::new(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()),
+            axis: DVec3::from_array(lobe_axis(raw[3].into(), raw[4].into())),
             beta: raw[5].into(),
         }
     }

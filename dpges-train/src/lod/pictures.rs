@@ -71,24 +71,14 @@ pub fn around(scene: &SceneData) -> Vec<Camera> {
     let points = || as_points(&scene.surfels.positions).iter().chain(as_points(&scene.gaussians.positions));
     let [low, high] = quantiles(points(), scene.surfels.len() + scene.gaussians.len(), [0.05, 0.95]);
     let (middle, radius) = (0.5 * (low + high), (0.5 * (high - low).length()).max(10.0 * scene.info.near));
-    let focal = SIDE_PX as f64;
     let camera = |number: usize| {
         // a spiral over the sphere, in turns of the golden angle
         let height = 1.0 - (2 * number + 1) as f64 / AROUND as f64;
         let (sine, cosine) = (number as f64 * std::f64::consts::PI * (3.0 - 5f64.sqrt())).sin_cos();
         let flat = (1.0 - height * height).sqrt();
         let eye = middle + 2.5 * radius * DVec3::new(flat * cosine, height, flat * sine);
-        Camera {
-            camera_from_world: CameraFromWorld::look_at(eye, middle, DVec3::Y),
-            fx: focal,
-            fy: focal,
-            cx: 0.5 * focal,
-            cy: 0.5 * focal,
-            width: SIDE_PX,
-            height: SIDE_PX,
-            near: scene.info.near,
-            lens: None,
-        }
+        let pose = CameraFromWorld::look_at(eye, middle, DVec3::Y);
+        Camera::pinhole(pose, SIDE_PX as f64, [SIDE_PX; 2], scene.info.near)
     };
     (0..AROUND).map(camera).collect()
 }

@@ -2,16 +2,12 @@
 //! everywhere, which the base colour takes over.
 
 use std::array::from_fn;
-use std::f64::consts::LN_2;
 
-use dpges_core::scene::lobes::{ABSENT_LOBE, LOBE_LEN, is_absent};
+use dpges_core::scene::lobes::{ABSENT_LOBE, LOBE_LEN, is_absent, lobe_axis, softplus};
 use dpges_core::scene::{ColourData, ColourModel, SH_C0};
 use rayon::prelude::*;
 
 use crate::refine::neighbours::as_points;
-
-/// Sharpness of the softplus of a lobe's colour (DBS): a raw value of 0 means 0.1.
-const SHARPNESS: f64 = 10.0 * LN_2;
 
 /// Why a lobe can go.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -145,11 +141,7 @@ struct Lit {
 impl Lit {
     fn new(raw: &[f32; LOBE_LEN]) -> Self {
         let [red, green, blue, theta, phi, beta] = raw.map(f64::from);
-        Self {
-            colour: [red, green, blue].map(softplus),
-            axis: [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()],
-            exponent: 4.0 * beta.exp(),
-        }
+        Self { colour: [red, green, blue].map(softplus), axis: lobe_axis(theta, phi), exponent: 4.0 * beta.exp() }
     }
 
     fn largest(&self) -> f64 {
@@ -189,11 +181,6 @@ fn direction(position: &[f32; 3], centre: &[f64; 3]) -> [f64; 3] {
     let offset: [f64; 3] = from_fn(|axis| f64::from(position[axis]) - centre[axis]);
     let length = offset.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-12);
     offset.map(|x| x / length)
-}
-
-fn softplus(raw: f64) -> f64 {
-    let x = SHARPNESS * raw;
-    (x.max(0.0) + (-x.abs()).exp().ln_1p()) / SHARPNESS
 }
 
 #[cfg(test)]

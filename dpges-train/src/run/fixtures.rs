@@ -30,9 +30,8 @@ pub fn fisheye_dataset() -> Arc<Dataset> {
 }
 
 /// A pinhole camera whose axis meets the middle of the picture; `focal` in px.
-pub fn camera(camera_from_world: CameraFromWorld, focal: f64, [width, height]: [usize; 2]) -> Camera {
-    let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-    Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near: 0.1, lens: None }
+pub fn camera(camera_from_world: CameraFromWorld, focal: f64, size: [usize; 2]) -> Camera {
+    Camera::pinhole(camera_from_world, focal, size, 0.1)
 }
 
 /// Keys that make of the defaults a run of the joint stage alone, or, with a share, after a stage of DBS.

@@ -26,7 +26,7 @@ use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use dpges_core::Error;
-use dpges_core::scene::atomic::write_atomically;
+use dpges_core::scene::atomic::{make_folder, write_atomically};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -222,7 +222,7 @@ impl RunFolder {
         let shown = files_in(&pictures, |name| name.starts_with("step_") && name.ends_with(".png"));
         let mut found = files().map(|file| self.path.join(file)).chain(self.shards()).chain(shown);
         found.try_for_each(|file| remove(&file))?;
-        std::fs::create_dir_all(&pictures).map_err(failed("cannot make folder", &pictures))?;
+        make_folder(&pictures)?;
         write_json(&self.origin(), origin)?;
         Ok(self.write_config(config)?)
     }

@@ -32,7 +32,7 @@ impl MetricsLog {
     /// An empty log, in place of any other.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// [`Error::Io`](dpges_core::Error::Io).
     pub fn create(path: &Path) -> Result<Self> {
         write_atomically(path, |_| Ok(()))?;
         Self::open(path)
@@ -43,7 +43,7 @@ impl MetricsLog {
     /// it `evaluates_again`: they all come again. A log that is missing starts anew.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// [`Error::Io`](dpges_core::Error::Io).
     pub fn resume(path: &Path, completed_steps: usize, evaluates_again: bool) -> Result<(Self, f64)> {
         let text = match std::fs::read_to_string(path) {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
@@ -65,7 +65,7 @@ impl MetricsLog {
     /// Seconds that the run of the log at `path` had taken at its last logged step, evaluations on the way included.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// [`Error::Io`](dpges_core::Error::Io).
     pub fn seconds_of_steps(path: &Path) -> Result<f64> {
         let text = std::fs::read_to_string(path).map_err(failed("cannot read", path))?;
         let mut latest_first = text.lines().rev().filter_map(|line| serde_json::from_str::<Value>(line).ok());
@@ -81,7 +81,7 @@ impl MetricsLog {
     /// Appends a step; `seconds` is the time of the whole run so far.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// [`Error::Io`](dpges_core::Error::Io).
     pub fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         let mut line = json!({
             "kind": "step", "step": report.step, "stage": report.stage.to_string(), "view": report.view,
@@ -98,7 +98,7 @@ impl MetricsLog {
     /// Appends an evaluation of the held-out views; `seconds` is the time of the whole run so far.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// [`Error::Io`](dpges_core::Error::Io).
     pub fn evaluation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
         let mut line = line_of("evaluation", step, evaluation, seconds);
         line["seconds_per_view"] = json!(evaluation.seconds_per_view);
@@ -108,7 +108,7 @@ impl MetricsLog {
     /// Appends an evaluation of the validation views; `seconds` is the time of the whole run so far.
     ///
     /// # Errors
-    /// [`Error::Io`].
+    /// [`Error::Io`](dpges_core::Error::Io).
     pub fn validation(&mut self, step: usize, evaluation: &Evaluation, seconds: f64) -> Result<()> {
         self.append(&line_of("validation", step, evaluation, seconds))
     }

@@ -34,7 +34,7 @@ mod error;
 #[cfg(test)]
 pub mod fixtures;
 pub mod folder;
-mod hash;
+pub(crate) mod hash;
 #[cfg(test)]
 mod masked_tests;
 pub mod metrics_log;

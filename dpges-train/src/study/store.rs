@@ -14,6 +14,7 @@ use super::measure::{MEASURES, Measure};
 use super::row::{Group, Row, groups};
 use super::{Result, StudyError};
 use crate::run::folder::write_json;
+use crate::run::hash::Hash;
 
 /// Properties in which one study differs from another.
 #[derive(Debug)]
@@ -170,10 +171,7 @@ pub fn on_frontier(groups: &[Group], cost: &str) -> Vec<usize> {
 
 /// FNV-1a of `bytes`, as text: tells one scene file from another.
 pub fn checksum(bytes: &[u8]) -> String {
-    let hash = bytes
-        .iter()
-        .fold(0xcbf2_9ce4_8422_2325u64, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
-    format!("{hash:016x}")
+    format!("{:016x}", Hash::of(bytes))
 }
 
 /// Writes texts into `folder`, each whole or not at all, by the names of their files. Returns the paths, one a line.

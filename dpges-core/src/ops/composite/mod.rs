@@ -71,7 +71,7 @@ pub struct CompositeState<B: Backend> {
     options: CompositeOptions,
 }
 
-/// Gradients with respect to the outputs in the order of [`OutputKind`]; `None` where none arrived.
+/// Gradients with respect to the outputs in the order of `OutputKind`; `None` where none arrived.
 pub type OutputGradients<B> = [Option<FloatTensor<B>>; 5];
 
 /// In the order of the fields of [`CompositeOutput`].

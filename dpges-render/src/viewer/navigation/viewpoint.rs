@@ -93,9 +93,8 @@ impl Viewpoint {
     /// The camera for a picture of this size, px.
     pub fn camera(&self, [width, height]: [usize; 2]) -> Camera {
         let focal = height as f64 / self.lens.height_at_one();
-        let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
         let camera_from_world = pose(self.pose.eye, self.pose.world_from_camera);
-        Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near: self.lens.near, lens: None }
+        Camera::pinhole(camera_from_world, focal, [width, height], self.lens.near)
     }
 
     #[must_use]

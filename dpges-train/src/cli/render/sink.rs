@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use dpges_core::scene::atomic::make_folder;
 use dpges_train::eval::pictures::save_png;
 use dpges_train::eval::shots::Shot;
 use dpges_train::eval::video::Video;
@@ -9,7 +10,6 @@ use dpges_train::run::folder::write_json;
 use serde_json::{Value, json};
 
 use super::super::Result;
-use super::super::eval::make_folder;
 use super::super::logging::LogStyle;
 use super::super::progress::Progress;
 use super::{Painted, RenderArgs};

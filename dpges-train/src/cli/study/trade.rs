@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum, value_parser};
 use dpges_core::camera::Camera;
+use dpges_core::scene::atomic::make_folder;
 use dpges_render::{Headless, check_drawn_as_trained};
 use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
@@ -26,7 +27,6 @@ use glam::DVec3;
 use super::{Training, conclude};
 use crate::cli::data::{Scene, Source, Split, ViewArgs, every_nth};
 use crate::cli::device_choice::{DeviceArgs, watched};
-use crate::cli::eval::make_folder;
 use crate::cli::logging::LogStyle;
 use crate::cli::lpips::LpipsArgs;
 use crate::cli::train::display::watch_for_interrupts;

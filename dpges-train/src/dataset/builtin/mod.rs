@@ -188,14 +188,12 @@ fn dome_camera(options: &BuiltinOptions, index: usize, count: usize, phase: f64,
     let elevation = 0.25 + 0.75 * height;
     let direction = DVec3::new(elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin());
     let camera_from_world = CameraFromWorld::look_at(TARGET + 2.3 * direction, TARGET, DVec3::Z);
-    let (width, height) = (options.width, options.height);
     let lens = options
         .fisheye
         .then(|| Lens::new(Distortion { numerator: FISHEYE, ..Distortion::new(Projection::Equidistant) }));
     let half = lens.map_or((0.5 * FIELD_OF_VIEW).tan(), |lens| lens.radial(0.5 * FISHEYE_ANGLE));
-    let focal = 0.5 * width as f64 / half;
-    let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-    Camera { camera_from_world, fx: focal, fy: focal, cx, cy, width, height, near, lens }
+    let focal = 0.5 * options.width as f64 / half;
+    Camera { lens, ..Camera::pinhole(camera_from_world, focal, [options.width, options.height], near) }
 }
 
 /// The surface at position (x, y), px. The ray's direction has depth 1, so its distances are depths.

@@ -14,18 +14,7 @@ const WIDTH: usize = 64;
 const HEIGHT: usize = 48;
 
 fn camera(eye: DVec3, target: DVec3) -> Camera {
-    let pose = CameraFromWorld::look_at(eye, target, DVec3::Z);
-    Camera {
-        camera_from_world: pose,
-        fx: 120.0,
-        fy: 120.0,
-        cx: 32.0,
-        cy: 24.0,
-        width: WIDTH,
-        height: HEIGHT,
-        near: 0.1,
-        lens: None,
-    }
+    Camera::pinhole(CameraFromWorld::look_at(eye, target, DVec3::Z), 120.0, [WIDTH, HEIGHT], 0.1)
 }
 
 /// A slow flight over the floor z = 0: one to two pixels a frame.

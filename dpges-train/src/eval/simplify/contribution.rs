@@ -24,7 +24,7 @@ impl Contributions {
     /// weights. Colours are replaced by grey: one that is clamped has no gradient.
     ///
     /// # Errors
-    /// The errors of [`render`], [`render_blended`] and [`render_summed`].
+    /// The errors of [`Renderer::render`].
     pub fn measure(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
         let mut sums = Self { surfels: vec![0.0; scene.surfels.len()], gaussians: vec![0.0; scene.gaussians.len()] };
         let mut scene = SceneData { environment: None, ..scene.clone() };

@@ -5,7 +5,7 @@ use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use dpges_core::scene::atomic::write_atomically;
+use dpges_core::scene::atomic::{make_folder, write_atomically};
 
 use super::installed::{file_name, path};
 use super::{LpipsError, Network, Weights};
@@ -75,11 +75,7 @@ fn copy(network: Network, file: PathBuf) -> Result<(Network, PathBuf, usize), In
     let bytes = std::fs::read(&file).map_err(|source| LpipsError::Io { path: file, source })?;
     let target = path(network).ok_or(InstallError::NoHome)?;
     let folder = target.parent().expect("it is in a folder");
-    std::fs::create_dir_all(folder).map_err(|source| dpges_core::Error::Io {
-        action: "cannot make folder",
-        path: folder.to_owned(),
-        source,
-    })?;
+    make_folder(folder)?;
     write_atomically(&target, |out| out.write_all(&bytes))?;
     Ok((network, target, bytes.len()))
 }
