@@ -32,6 +32,7 @@ pub struct PassShare {
     pub share: f64,
 }
 
+/// How many frames are measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rounds {
     /// Rounds over the cameras that are not counted.

@@ -9,6 +9,7 @@ use crate::image::Rgb8Image;
 use crate::options::{DepthSource, Precision, RenderOptions};
 use crate::renderer::Renderer;
 
+/// An adapter and its device.
 #[derive(Clone, Debug)]
 pub struct Headless {
     adapter: wgpu::AdapterInfo,
@@ -70,6 +71,7 @@ impl Headless {
         &self.queue
     }
 
+    /// Name and interface of the adapter.
     pub fn adapter_name(&self) -> String {
         format!("{} ({})", self.adapter.name, self.adapter.backend)
     }

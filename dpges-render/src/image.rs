@@ -3,6 +3,7 @@
 /// Width of the line between pictures that stand side by side, px.
 const SEPARATOR: usize = 2;
 
+/// A picture of 8-bit red, green and blue.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rgb8Image {
     /// px

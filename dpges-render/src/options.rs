@@ -5,6 +5,7 @@ use std::fmt;
 use dpges_core::Error;
 use dpges_core::scene::{Footprint, SceneInfo};
 
+/// Largest number of layers that are peeled.
 pub const MAX_LAYERS: usize = 4;
 
 /// Bits per channel of the sums of Gaussians.
@@ -16,6 +17,7 @@ pub enum Precision {
     Half,
 }
 
+/// Where the depths of surfels come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DepthSource {
     /// The rasteriser interpolates them between corners. Hidden fragments need not be shaded.
@@ -25,6 +27,7 @@ pub enum DepthSource {
     Computed,
 }
 
+/// The content of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Display {

@@ -131,6 +131,7 @@ impl Renderer {
         })
     }
 
+    /// The highest precision that `device` can do.
     pub fn best_precision(device: &wgpu::Device) -> Precision {
         if device.features().contains(wgpu::Features::FLOAT32_BLENDABLE) { Precision::Float } else { Precision::Half }
     }

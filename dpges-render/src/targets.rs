@@ -36,7 +36,7 @@ pub(crate) struct PerPrimitive {
     pub seconds: wgpu::TextureView,
 }
 
-/// What passes draw into, and others read.
+/// Textures that some passes draw into and others read.
 const DRAWN_AND_READ: Usage = Usage::RENDER_ATTACHMENT.union(Usage::TEXTURE_BINDING);
 
 impl Targets {

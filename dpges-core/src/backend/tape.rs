@@ -12,7 +12,7 @@ use burn::backend::{Autodiff, Backend};
 
 use super::kept::Kept;
 
-/// What a node of the tape with N parents keeps for the way back.
+/// The state that a node of the tape with N parents keeps for the way back.
 pub trait WayBack<B: Backend, const N: usize>: Clone + Debug + Send + 'static {
     /// Makes the gradients of the parents from that of the node; `None` where nothing reaches a parent.
     fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; N];

@@ -28,6 +28,7 @@ const START: f64 = 0.9;
 const SERIES_BELOW: f64 = 0.05;
 const SERIES_TERMS: usize = 16;
 
+/// A point seen through a lens.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
     /// Focal lengths from the principal point.

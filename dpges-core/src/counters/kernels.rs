@@ -15,6 +15,7 @@ use cubecl::{MemoryScope, MemoryUsage};
 
 use super::{DeviceMemory, KernelTime, Launches};
 
+/// Calls `work` and counts what it launches.
 pub fn count_launches<T>(work: impl FnOnce() -> T) -> (T, Launches) {
     let counter = Arc::new(Counter::default());
     let result = observed(counter.clone(), work);

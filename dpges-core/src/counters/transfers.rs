@@ -10,6 +10,7 @@ use std::cell::Cell;
 use burn::tensor::{DType, Device, Element, Tensor, TensorData};
 use serde::Serialize;
 
+/// Transfers between host and device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Transfers {
     /// Tensors that went to the device.
@@ -69,6 +70,7 @@ pub fn wait<T>(read: impl FnOnce() -> T) -> T {
 }
 
 impl Transfers {
+    /// Transfers since the count was `earlier`.
     #[must_use]
     pub fn since(self, earlier: Self) -> Self {
         Self {

@@ -76,6 +76,7 @@ pub fn divide_pairs(a: Pair, b: Pair, zero: u32) -> Pair {
     two_sum(first, rest.high / b.high, zero)
 }
 
+/// A three-vector of pairs.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Pairs3 {

@@ -63,6 +63,7 @@ impl LensUniforms {
         Self::of(lens.distortion(), kind, lens.arc().unwrap_or([1.0; 2]), limits)
     }
 
+    /// Uniforms of a pinhole.
     pub fn none() -> LensUniformsLaunch {
         Self::of(&Distortion::new(Projection::Perspective), LensKind::None, [0.0; 2], [0.0; 3])
     }

@@ -2,6 +2,7 @@
 
 use cubecl::prelude::*;
 
+/// Number of values in a [`Rect`].
 pub const RECT: usize = 4;
 
 /// Columns and rows of pixels, half open.
@@ -31,10 +32,12 @@ impl Rect {
         rects[o + 3] = self.y1;
     }
 
+    /// Whether it has pixels.
     pub fn is_filled(&self) -> bool {
         self.x0 < self.x1 && self.y0 < self.y1
     }
 
+    /// Number of pixels.
     pub fn area(&self) -> u32 {
         select(self.is_filled(), (self.x1 - self.x0) * (self.y1 - self.y0), 0u32)
     }

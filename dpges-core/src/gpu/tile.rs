@@ -52,6 +52,7 @@ pub fn pixel_of(view: CameraUniforms, tile: u32, unit: u32) -> Pixel {
     }
 }
 
+/// Number of pixels in a plane.
 #[cube]
 pub fn plane_of(view: CameraUniforms) -> usize {
     (view.width * view.height) as usize

@@ -1,4 +1,4 @@
-//! What tests of several operations and of losses use.
+//! Fixtures for tests of several operations and of losses.
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
 use glam::{DMat3, DVec3};

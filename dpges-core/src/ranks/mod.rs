@@ -114,6 +114,7 @@ impl dyn Ranks + '_ {
         if self.is_alone() { numbers } else { self.gather_numbers(&numbers).swap_remove(0) }
     }
 
+    /// Whether it is so for any rank.
     pub fn any(&self, own: bool) -> bool {
         !self.is_alone() && self.gather(&[u8::from(own)]).iter().any(|found| found == &[1]) || own
     }

@@ -43,6 +43,7 @@ impl BlendedOptions {
     }
 }
 
+/// A rendered view of blended Gaussians.
 #[derive(Clone, Debug)]
 pub struct BlendedRender {
     /// [3, H, W] display-referred, not clamped, on the background.

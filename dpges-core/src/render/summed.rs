@@ -58,6 +58,7 @@ impl SummedOptions {
     }
 }
 
+/// A rendered view of summed Gaussians.
 #[derive(Clone, Debug)]
 pub struct SummedRender {
     /// [3, H, W] display-referred, not clamped, on the background.

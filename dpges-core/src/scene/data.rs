@@ -50,6 +50,7 @@ macro_rules! on_the_host {
                 })
             }
 
+            /// Adds the primitives of `other` after these.
             pub fn append(&mut self, other: Self) {
                 self.list_mut().into_iter().zip(other.into_list()).for_each(|(values, more)| values.extend(more));
             }

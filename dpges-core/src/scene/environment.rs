@@ -24,6 +24,7 @@ impl EnvironmentData {
         (degree + 1) * (degree + 1)
     }
 
+    /// The degree that has `count` coefficients.
     pub fn degree_of(count: usize) -> Option<usize> {
         (0..=Self::MAX_DEGREE).find(|&degree| Self::coefficient_count(degree) == count)
     }

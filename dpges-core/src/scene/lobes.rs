@@ -16,6 +16,7 @@ pub const ABSENT_BELOW: f32 = -10.0;
 /// so that no gradient reaches the lobe and it stays absent while the scene is trained.
 pub const ABSENT: f32 = -20.0;
 
+/// A lobe that was dropped.
 pub const ABSENT_LOBE: [f32; LOBE_LEN] = [ABSENT, ABSENT, ABSENT, 0.0, 0.0, 0.0];
 
 /// Whether the lobe with the raw numbers `lobe` (r, g, b, θ, φ, β) adds nothing to any colour.

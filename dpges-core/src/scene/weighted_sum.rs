@@ -36,6 +36,7 @@ pub struct WeightedSum {
 impl WeightedSum {
     /// Smallest weight of the background that is used, so that no pixel is divided by 0.
     pub const LEAST_BACKGROUND: f64 = 1e-4;
+    /// Smallest σ that is used.
     pub const LEAST_SIGMA: f64 = 1e-6;
 
     pub(super) fn is_finite(&self) -> bool {

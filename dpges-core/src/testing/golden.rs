@@ -134,7 +134,7 @@ impl<'a> File<'a> {
 pub struct GoldenCase {
     arrays: Arrays,
     camera: Camera,
-    /// Of a peeled scene; of any other only the background.
+    /// Options of a peeled scene; those of any other have its background only.
     options: RenderOptions,
     /// Of a weighted sum.
     weight: Option<DepthWeight>,

@@ -461,7 +461,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// What every way to draw Gaussians has gradients of.
+/// Parameters that have gradients however Gaussians are drawn.
 fn leaves(gaussians: &Gaussians) -> [(&'static str, &Tensor<2>); 4] {
     let Gaussians { positions, quaternions, log_scales, opacities, .. } = gaussians;
     [("positions", positions), ("quaternions", quaternions), ("log_scales", log_scales), ("opacities", opacities)]

@@ -7,6 +7,7 @@ use std::ops::Range;
 /// Number of bands. Each costs one set of sums.
 pub const BAND_COUNT: usize = 8;
 
+/// The rows of an image in [`BAND_COUNT`] bands.
 #[derive(Clone, Copy, Debug)]
 pub struct Bands {
     height: usize,

@@ -4,6 +4,7 @@ use std::fmt;
 
 use glam::{DMat3, DVec3};
 
+/// Axis of the scene that points up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum UpAxis {
     /// −y, as cameras with OpenCV axes have it: roughly what COLMAP makes of upright photographs, and what readers of

@@ -16,7 +16,7 @@ const F32: u32 = 5126;
 const VERTICES: u32 = 34962;
 const INDICES: u32 = 34963;
 
-/// A file with one scene, one node, and one mesh of one primitive. What adds an accessor returns its index.
+/// A file with one scene, one node, and one mesh of one primitive. A method that adds an accessor returns its index.
 #[derive(Default)]
 pub struct GlbBuilder {
     accessors: Vec<Value>,
@@ -108,6 +108,7 @@ fn pad(bytes: &mut Vec<u8>, with: u8) {
     bytes.resize(bytes.len().next_multiple_of(4), with);
 }
 
+/// The JSON and the binary part of a file.
 #[cfg(test)]
 pub fn parts(bytes: &[u8]) -> (Value, &[u8]) {
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());

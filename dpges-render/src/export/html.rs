@@ -30,6 +30,7 @@ const NO_POSTER: &str = r#"<meta name="dpges-poster" content="">"#;
 const NO_TITLE: &str = "<title>dpges</title>";
 const PACKAGE: &str = "pkg";
 
+/// Errors of a page or of the folder it is written to.
 #[derive(Debug, thiserror::Error)]
 pub enum HtmlError {
     #[error(
@@ -64,6 +65,7 @@ pub struct Page<'a> {
     pub cameras: &'a [Camera],
 }
 
+/// A file that was written.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WrittenFile {
     pub path: PathBuf,

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use super::CameraPath;
 
+/// Why there is no path.
 #[derive(Debug, thiserror::Error)]
 pub enum PathError {
     #[error("a camera path needs at least one camera")]

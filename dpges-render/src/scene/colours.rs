@@ -25,6 +25,7 @@ pub fn texels(model: ColourModel) -> usize {
     (RGB_WORDS + detail).div_ceil(4)
 }
 
+/// All texels, those of the first primitive first.
 pub fn pack(colours: &ColourData) -> Vec<[u32; 4]> {
     let model = colours.model;
     let (bases, _) = colours.base.as_chunks::<3>();

@@ -8,6 +8,7 @@ use dpges_core::scene::{GaussianData, SurfelData};
 const LARGEST_LOG_SCALE: f32 = 32.0;
 const LOG_SCALE_STEPS: f32 = ((1 << 21) - 1) as f32;
 
+/// Texels A and B of every primitive.
 #[derive(Debug)]
 pub struct Shapes {
     pub places: Vec<[f32; 4]>,

@@ -47,6 +47,7 @@ impl Grid {
     }
 }
 
+/// Primitives of one kind as texels.
 #[derive(Debug)]
 pub struct Packed {
     shapes: Shapes,
@@ -61,6 +62,7 @@ impl Packed {
     }
 }
 
+/// Primitives of one kind.
 #[derive(Debug)]
 pub struct Primitives {
     pub count: usize,
@@ -122,6 +124,7 @@ pub fn write<T: bytemuck::Pod>(queue: &wgpu::Queue, view: &wgpu::TextureView, gr
     }
 }
 
+/// A scene on a device.
 #[derive(Debug)]
 pub struct SceneTextures {
     pub info: SceneInfo,

@@ -91,6 +91,7 @@ impl Loader {
         }
     }
 
+    /// How far it is.
     pub fn status(&self) -> StreamStatus {
         self.stream.status(self.now())
     }

@@ -63,6 +63,7 @@ pub fn decode(index: &Index, cell: usize, bytes: &[u8]) -> Result<LoadedCell, St
     index.cell(cell, bytes).map(|scene| LoadedCell::new(&scene)).map_err(|error| error.to_string())
 }
 
+/// How far a stream is.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct StreamStatus {
     /// Primitives that are drawn, loaded or being loaded; never more than the budget.
@@ -164,6 +165,7 @@ impl Stream {
         }
     }
 
+    /// The part of a file that a cell is.
     pub fn part(&self, cell: usize) -> &Part {
         &self.residency.index.cells[cell].part
     }

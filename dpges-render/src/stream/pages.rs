@@ -30,6 +30,7 @@ impl Pages {
         Some(joined(pages.iter().enumerate().map(range)))
     }
 
+    /// Gives places back.
     pub fn give(&mut self, places: &[Range<u32>]) {
         for place in places {
             self.taken[place.start as usize / PAGE..(place.end as usize).div_ceil(PAGE)].fill(false);

@@ -169,6 +169,7 @@ impl Residency {
         self.states[cell] == State::Ready
     }
 
+    /// Goes on at the time `now`, s, for what `camera` sees.
     pub fn update(&mut self, camera: &Camera, now: f64) -> Orders {
         let mut orders = Orders::default();
         self.finish(now, &mut orders);

@@ -6,6 +6,7 @@ use dpges_core::scene::{GaussianData, Rendering, SceneData, SurfelData};
 use super::LoadedCell;
 use crate::error::RenderError;
 
+/// Why a scene in levels of detail cannot be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum StreamError {
     #[error(
@@ -71,6 +72,7 @@ impl LodScene {
         &self.index
     }
 
+    /// The coarsest level as a scene.
     pub fn coarse(&self) -> &SceneData {
         &self.coarse
     }

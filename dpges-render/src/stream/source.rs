@@ -35,6 +35,7 @@ pub fn is_lod(place: &Path) -> bool {
     is_address(place) || place.ends_with(INDEX) && place.is_file() || place.join(INDEX).is_file()
 }
 
+/// Whether `place` is an address of the web.
 pub fn is_address(place: &Path) -> bool {
     place.to_str().is_some_and(|text| text.starts_with("http://") || text.starts_with("https://"))
 }
@@ -142,6 +143,7 @@ mod web {
     use ureq::http::header::{CONTENT_RANGE, RANGE};
     use ureq::http::{Response, StatusCode};
 
+    /// All of a file.
     pub fn whole(client: &Agent, address: &str, most: u64) -> Result<Vec<u8>, String> {
         let answer = client.get(address).call().map_err(unreachable)?;
         match answer.status() {

@@ -11,6 +11,7 @@ const TOO_NEAR: f64 = 0.01;
 /// Least number of points that say what is near a camera: of fewer there is no hundredth.
 const ENOUGH_POINTS: usize = 100;
 
+/// The empty space around the training cameras of a dataset.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct EmptySpace {
     /// Centres of cameras and the distances up to which nothing is, world units.

@@ -15,6 +15,7 @@ impl Tracks {
         Self { ends: Vec::with_capacity(points), views: Vec::with_capacity(observations) }
     }
 
+    /// Number of points.
     pub fn len(&self) -> usize {
         self.ends.len()
     }
@@ -52,6 +53,7 @@ impl Tracks {
         &self.views[start..end]
     }
 
+    /// The views of every point.
     pub fn iter(&self) -> impl Iterator<Item = &[u32]> {
         (0..self.len()).map(|point| self.of(point))
     }

@@ -48,7 +48,7 @@ pub fn gpus() -> Vec<Entry> {
     Vec::new()
 }
 
-/// What to do where there is no graphics adapter.
+/// Advice for a machine without a graphics adapter.
 pub fn advice_without_gpu() -> String {
     #[cfg(feature = "gpu")]
     return format!("no graphics adapter was found: {NO_ADAPTER_ADVICE}");

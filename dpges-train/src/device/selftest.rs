@@ -91,7 +91,7 @@ pub fn worst(findings: &[Finding]) -> Vec<Finding> {
     OPERATIONS.iter().filter_map(worst_of).collect()
 }
 
-/// What a device computes, operation by operation.
+/// The errors of a device, operation by operation.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     pub device: String,
@@ -108,7 +108,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Of the `findings` of the device that is called so, which took `seconds`.
+    /// Summarises the `findings` of the device that is called so, which took `seconds`.
     pub fn new(device: String, description: String, findings: &[Finding], seconds: f64) -> Self {
         let wrong = findings.iter().filter(|finding| !finding.passed).count();
         let (tensors, operations) = (findings.len(), worst(findings));

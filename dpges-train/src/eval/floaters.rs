@@ -24,6 +24,7 @@ const HIDES: f32 = 0.1;
 /// Least number of views that a floating primitive blocks.
 const BLOCKED_VIEWS: u32 = 2;
 
+/// How many views every primitive blocks and supports.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Visibility {
     pub surfels: Vec<Votes>,
@@ -39,6 +40,7 @@ pub struct Votes {
     pub is_close: bool,
 }
 
+/// Numbers of primitives that float.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Floaters {
     pub surfels: usize,

@@ -48,6 +48,7 @@ pub use frame_ms::FrameMs;
 /// PSNR of a picture that is equal to its photograph, dB. The true value, infinity, has no place in JSON or in a mean.
 pub const LARGEST_PSNR: f64 = 100.0;
 
+/// The scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScore {
     pub name: String,
@@ -151,6 +152,7 @@ impl<'a> Measures<'a> {
         Self { perceptual: true, ..Self::lpips(networks) }
     }
 
+    /// LPIPS by `networks`.
     pub fn lpips(networks: &'a [Lpips]) -> Self {
         Self { networks, ..Self::BASIC }
     }

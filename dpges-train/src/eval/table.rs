@@ -64,7 +64,7 @@ impl Evaluation {
     }
 }
 
-/// Of a column, characters.
+/// Width of a column, characters.
 fn width(metric: &Metric) -> usize {
     metric.title.len().max("-100.00".len() + metric.unit.len())
 }

@@ -6,6 +6,7 @@ use std::process::{Child, Command, Stdio};
 
 use dpges_render::Rgb8Image;
 
+/// Why there is no video, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
     #[error(

@@ -54,6 +54,7 @@ pub struct Scores {
     pub fitted: Fitted,
 }
 
+/// One of the numbers in [`Scores`].
 #[derive(Clone, Copy, Debug)]
 pub struct Metric {
     /// As JSON, CSV and file names call it.

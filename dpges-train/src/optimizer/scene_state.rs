@@ -75,6 +75,7 @@ pub struct Leaves<T> {
 /// Parameters by their raw names, as a checkpoint holds them.
 pub type NamedRows = BTreeMap<&'static str, ParameterRows>;
 
+/// Gradients of the attributes that learn.
 pub type GradientList = Vec<NamedGradient>;
 
 impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
@@ -209,17 +210,20 @@ impl<C: Columns<Value = Parameter, With<Parameter> = C>> State<C> {
         self.columns.colour_mut().detail.step_rest(gradients, gate, at(C::detail()))
     }
 
+    /// Rows that stay.
     pub fn keep(&mut self, rows: &[usize]) {
         let kept = Rows::new(rows, self.len(), &self.device());
         self.columns.list_mut().into_iter().for_each(|parameter| parameter.edit(&kept, &[], 0));
     }
 
+    /// The colours in host memory.
     pub fn colour(&self) -> ColourData {
         let colour = self.columns.colour();
         let [base, detail] = [&colour.base, &colour.detail].map(Parameter::raw_rows);
         ColourData::new(colour.model, base, detail)
     }
 
+    /// Replaces all colours; their moments stay.
     pub fn set_colour(&mut self, colour: &ColourData) {
         let columns = self.columns.colour_mut();
         columns.base.set(&colour.base);

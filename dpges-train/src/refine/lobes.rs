@@ -18,6 +18,7 @@ pub enum Spare {
     Constant([f64; 3]),
 }
 
+/// A lobe that can go.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpareLobe {
     pub row: usize,
@@ -26,6 +27,7 @@ pub struct SpareLobe {
     pub why: Spare,
 }
 
+/// How many lobes were dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Dropped {
     /// Without replacement.

@@ -138,6 +138,7 @@ impl Checkpoint {
         Ok(whole)
     }
 
+    /// The bytes of the file.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut arrays: Vec<(String, [usize; 2], Vec<u8>)> = Vec::new();
         let bytes = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();

@@ -89,6 +89,7 @@ impl Origin {
     }
 }
 
+/// Paths of a run's files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunFolder {
     path: PathBuf,
@@ -178,6 +179,7 @@ impl RunFolder {
         self.path.join(format!("stage_{stage}.json"))
     }
 
+    /// Folder of the comparison pictures.
     pub fn pictures(&self) -> PathBuf {
         self.path.join("pictures")
     }
@@ -209,6 +211,7 @@ impl RunFolder {
         Err(RunFolderError::NoCheckpoint { path: self.path.clone(), missing: self.checkpoint() })
     }
 
+    /// Whether there is a checkpoint.
     pub fn has_checkpoint(&self) -> bool {
         self.checkpoint().is_file() || self.manifest().is_file()
     }

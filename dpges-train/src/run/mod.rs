@@ -99,6 +99,7 @@ pub struct Run {
     started: Instant,
 }
 
+/// The result of a finished run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// The scene after the last step; with `train.stop = "validation"` the best by the validation views. The scene of the

@@ -20,6 +20,7 @@ use crate::views::corrections::ViewCorrections;
 /// Steps between lines of `metrics.jsonl`.
 const METRICS_EVERY: usize = 10;
 
+/// The folder of a run, and its open log.
 pub struct Record {
     pub folder: RunFolder,
     origin: Origin,

@@ -12,6 +12,7 @@ use crate::dataset::Dataset;
 use crate::device::memory::PeakMemory;
 use crate::device::place::Place;
 
+/// A run in a folder, before it goes on.
 #[derive(Clone, Debug)]
 pub struct SavedRun {
     folder: RunFolder,

@@ -207,6 +207,7 @@ impl Trainer {
         self.context.exposure.is_some()
     }
 
+    /// The corrections of the training views so far.
     pub fn view_corrections(&self) -> ViewCorrections {
         let exposure = self.corrects_exposure().then(|| {
             let corrections = exposures::corrections(&self.context.exposure);

@@ -60,6 +60,7 @@ impl Validation {
         }
     }
 
+    /// Whether the run has ended.
     pub fn stopped(&self) -> bool {
         self.stopped
     }

@@ -42,6 +42,7 @@ struct Mark {
     psnr: Spread,
 }
 
+/// One of the plots.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plot {
     title: &'static str,
@@ -64,12 +65,20 @@ impl Plot {
         (!marks.is_empty()).then(|| Self { title, marks, frontier: on_frontier(&groups, cost.key) })
     }
 
+    /// The plot as SVG.
+    ///
+    /// # Errors
+    /// The drawing error.
     pub fn svg(&self) -> Result<String> {
         let mut text = String::new();
         self.draw(&SVGBackend::with_string(&mut text, (WIDTH as u32, HEIGHT as u32)).into_drawing_area())?;
         Ok(text)
     }
 
+    /// The plot as a picture.
+    ///
+    /// # Errors
+    /// The drawing error.
     pub fn picture(&self) -> Result<Rgb8Image> {
         let (width, height) = (WIDTH as usize, HEIGHT as usize);
         let mut bytes = vec![0; 3 * width * height];

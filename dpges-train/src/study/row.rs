@@ -58,6 +58,7 @@ impl Row {
         }
     }
 
+    /// Sets the numbers of primitives.
     pub fn set_counts(&mut self, surfels: usize, gaussians: usize) {
         let counts = [("surfels", surfels), ("gaussians", gaussians), ("primitives", surfels + gaussians)];
         counts.into_iter().for_each(|(key, count)| self.set(key, Some(count as f64)));

@@ -60,6 +60,7 @@ impl Content {
     }
 }
 
+/// A study in a folder.
 #[derive(Debug)]
 pub struct Study {
     pub shape: &'static Shape,
@@ -68,6 +69,7 @@ pub struct Study {
 }
 
 impl Study {
+    /// Without rows.
     pub fn new(shape: &'static Shape, folder: &Path, subject: Map<String, Value>) -> Self {
         Self { shape, folder: folder.to_owned(), content: Content { subject, ..Content::default() } }
     }
@@ -145,6 +147,7 @@ impl Study {
         self.save()
     }
 
+    /// Of the JSON.
     pub fn path(&self) -> PathBuf {
         self.folder.join(format!("{}.json", self.shape.name))
     }

@@ -19,6 +19,7 @@ pub struct Table {
 }
 
 impl Table {
+    /// All of it.
     pub fn whole(study: &Study) -> Self {
         let groups = groups(&study.content.rows);
         let columns: Vec<&Measure> = known(&groups).collect();

@@ -16,6 +16,7 @@ const OF_THE_RUN: [&str; 8] = [
     "optimizer",
 ];
 
+/// One way to train.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Variant {
     /// Unique in its study; also the name of its folder.

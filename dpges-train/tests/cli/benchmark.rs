@@ -38,7 +38,7 @@ fn photograph(index: usize) -> image::RgbaImage {
     })
 }
 
-/// What `images.txt` of COLMAP says of a photograph.
+/// A photograph in `images.txt` of COLMAP.
 pub fn colmap_image(index: usize, pose: &CameraFromWorld, name: &str) -> String {
     let (q, t) = (DQuat::from_mat3(&pose.rotation), pose.translation);
     format!("{} {} {} {} {} {} {} {} 1 {name}\n\n", index + 1, q.w, q.x, q.y, q.z, t.x, t.y, t.z)

@@ -55,6 +55,7 @@ impl Distortion {
         }
     }
 
+    /// Whether it is a pinhole.
     pub fn is_pinhole(&self) -> bool {
         let inert = Self { in_sequence: false, ..*self };
         inert == Self::new(Projection::Perspective)

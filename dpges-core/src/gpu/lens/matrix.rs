@@ -2,6 +2,7 @@
 
 use cubecl::prelude::*;
 
+/// A 2 × 2 matrix.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Mat2 {

@@ -4,6 +4,7 @@ use cubecl::prelude::*;
 
 use super::LensUniforms;
 
+/// An interval.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Range {

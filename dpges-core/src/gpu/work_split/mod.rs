@@ -85,6 +85,7 @@ impl Piece {
         pieces[o + 5] = self.end;
     }
 
+    /// The piece of this unit.
     pub fn own(pieces: &[u32]) -> Piece {
         Piece::load(pieces, own_number())
     }
@@ -229,6 +230,7 @@ fn pieces_kernel(rects: &[u32], size: &[u32], starts: &[u32], pieces: &mut [u32]
     }
 }
 
+/// Pieces of rectangles.
 #[derive(Clone)]
 pub struct WorkSplit {
     /// [most, 6] in the order of the rectangles, empty ones last

@@ -62,7 +62,7 @@ pub struct CompositeOutput<B: Backend> {
     pub gaussian_weight: FloatTensor<B>,
 }
 
-/// What the way back needs.
+/// The state for the way back.
 #[derive(Debug, Clone)]
 pub struct CompositeState<B: Backend> {
     input: CompositeInput<B>,

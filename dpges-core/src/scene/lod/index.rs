@@ -9,6 +9,7 @@ use crate::scene::SceneInfo;
 pub const FORMAT: &str = "dpges-lod";
 pub const VERSION: u32 = 1;
 
+/// A scene in levels of detail.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Index {
     /// [`FORMAT`]
@@ -58,6 +59,7 @@ pub struct Cell {
 }
 
 impl Cell {
+    /// Surfels and Gaussians.
     pub fn primitives(&self) -> usize {
         self.surfels + self.gaussians
     }

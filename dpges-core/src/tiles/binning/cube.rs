@@ -106,6 +106,7 @@ fn offsets_kernel(sorted: &[u32], offsets: &mut [u32], tiles: u32, count: u32) {
     offsets[tile] = lower_bound(sorted, 0u32, count, tile as u32);
 }
 
+/// The list of a tile.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct TileList {
@@ -127,6 +128,7 @@ impl TileList {
         TileList { start: low, length: min(high - low, count) }
     }
 
+    /// Primitive at place `at` of the list.
     pub fn entry(&self, ids: &[u32], at: u32) -> u32 {
         ids[(self.start + at) as usize]
     }

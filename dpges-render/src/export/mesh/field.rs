@@ -2,12 +2,15 @@
 
 use std::collections::HashMap;
 
+/// Voxels along each side of a block.
 pub const BLOCK: i32 = 8;
+/// Voxels of a block.
 pub const BLOCK_LEN: usize = (BLOCK * BLOCK * BLOCK) as usize;
 
 /// Place of a block: that of its first voxel divided by [`BLOCK`]. Voxel (i, j, k) lies at (i, j, k) × voxel.
 pub type BlockKey = [i32; 3];
 
+/// The state of a voxel.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Voxel {
     /// Mean signed distance from the surface, in units of the truncation: positive where it was seen, at most 1.
@@ -18,6 +21,7 @@ pub struct Voxel {
 }
 
 impl Voxel {
+    /// Takes one view into the means.
     pub fn add(&mut self, distance: f32, colour: [f32; 3]) {
         self.weight += 1.0;
         let share = 1.0 / self.weight;
@@ -42,6 +46,7 @@ pub struct Field {
 }
 
 impl Field {
+    /// Makes a block of unknown voxels.
     pub fn insert(&mut self, key: BlockKey) {
         self.places.insert(key, self.blocks.len());
         self.blocks.push(Block { key, voxels: Box::new([Voxel::default(); BLOCK_LEN]) });

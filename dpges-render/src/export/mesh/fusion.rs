@@ -45,6 +45,7 @@ pub struct DepthView<'a> {
     pub colour: &'a [f32],
 }
 
+/// Views that become a mesh.
 pub struct Fusion {
     options: FusionOptions,
     field: Field,

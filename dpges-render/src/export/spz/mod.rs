@@ -39,6 +39,7 @@ const HAS_EXTENSIONS: u8 = 2;
 /// Level that Niantic's library uses.
 const ZSTD_LEVEL: i32 = 12;
 
+/// Versions that are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SpzVersion {
     /// gzip; what most readers understand.

@@ -56,6 +56,7 @@ impl Colmap {
         Ok(Self { path, has_cuda, extraction, matching, mapper })
     }
 
+    /// `masks` is the folder of masks, if there are any.
     pub fn features(
         &self,
         workspace: &Workspace,

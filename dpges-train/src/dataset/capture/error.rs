@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::step::Step;
 use crate::dataset::DatasetError;
 
+/// Why photographs have become no dataset.
 #[derive(Debug, thiserror::Error)]
 pub enum SfmError {
     #[error("{program} is not installed, {purpose}; {remedy}")]

@@ -63,6 +63,7 @@ impl Input {
         })
     }
 
+    /// The folder of photographs or the video, as it was named.
     pub fn path(&self) -> &Path {
         match self {
             Self::Photographs { path, .. } | Self::Video { path } => path,

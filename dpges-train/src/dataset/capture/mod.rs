@@ -52,6 +52,7 @@ const MOST_FOR_ALL_PAIRS: usize = 200;
 /// Fewest photographs that a dataset can be made of.
 pub const FEWEST: usize = 3;
 
+/// The input of a reconstruction, and its destination.
 #[derive(Clone, Debug)]
 pub struct Request<'a> {
     pub input: &'a Input,

@@ -30,6 +30,7 @@ pub struct Outcome {
 }
 
 impl Outcome {
+    /// How many photographs have a camera.
     pub fn placed(&self) -> usize {
         self.photographs - self.unplaced.len()
     }

@@ -19,6 +19,7 @@ const TAIL_LINES: usize = 12;
 pub struct Programs(pub Vec<PathBuf>);
 
 impl Programs {
+    /// In the folders of the environment variable `PATH`.
     pub fn of_environment() -> Self {
         let path = std::env::var_os("PATH").unwrap_or_default();
         Self(std::env::split_paths(&path).collect())

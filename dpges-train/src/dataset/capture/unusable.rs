@@ -11,6 +11,7 @@ const LOOKED_FOR: &str = "looked for a dataset (sparse/ of COLMAP, transforms_tr
                           nerfstudio), for photographs (JPEG or PNG, in the folder itself, in images/ or in input/), and for a \
                           video (such as walk.mp4)";
 
+/// Why nothing can be trained on, in words.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}; {advice}")]
 pub struct Unusable {

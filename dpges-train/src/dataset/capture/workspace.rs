@@ -147,6 +147,7 @@ impl Workspace {
         if step == Step::Mapping { make_folder(&self.models) } else { Ok(()) }
     }
 
+    /// Notes that `step` is done.
     pub fn end(&mut self, step: Step, seconds: f64) -> Result<(), SfmError> {
         if let Some(entry) = self.record.steps.get_mut(&step) {
             entry.seconds = Some(seconds);
@@ -180,10 +181,12 @@ impl Workspace {
         file_names(&self.images)
     }
 
+    /// Their paths.
     pub fn pictures(&self) -> Result<Vec<PathBuf>, SfmError> {
         Ok(self.picture_names()?.into_iter().map(|name| self.images.join(name)).collect())
     }
 
+    /// An empty folder `sfm/NAME`.
     pub fn empty_folder(&self, name: &str) -> Result<PathBuf, SfmError> {
         let path = self.work(name);
         remove(&path)?;

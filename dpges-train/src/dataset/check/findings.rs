@@ -41,6 +41,7 @@ const UNEXPLAINED: f64 = 0.5;
 /// Fewest training views that are no reason to say so.
 const FEW_VIEWS: usize = 10;
 
+/// A possible problem of a dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {

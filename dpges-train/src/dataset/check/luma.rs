@@ -8,6 +8,7 @@ const WEIGHTS: [f32; 3] = [0.2126, 0.7152, 0.0722];
 const SIDE: usize = 16;
 const FEWEST_IN_COMMON: usize = SIDE * SIDE / 4;
 
+/// A picture in one channel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Luma {
     /// px

@@ -51,7 +51,7 @@ impl Frame {
     }
 }
 
-/// What a lens does; `None` if it bends no ray.
+/// The distortion of a lens; `None` if it bends no ray.
 pub(super) fn lens(distortion: Distortion) -> Option<Lens> {
     (!distortion.is_pinhole()).then(|| Lens::new(distortion))
 }

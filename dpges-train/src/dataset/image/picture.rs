@@ -64,6 +64,7 @@ impl Picture {
         })
     }
 
+    /// Number of pixels.
     pub fn area(&self) -> usize {
         self.width * self.height
     }
@@ -78,10 +79,12 @@ impl Picture {
         std::array::from_fn(|channel| unit(self.bytes[3 * pixel + channel]))
     }
 
+    /// Whether the pixel counts.
     pub fn counts(&self, pixel: usize) -> bool {
         self.counted.as_ref().is_none_or(|counted| counted[pixel])
     }
 
+    /// Number of pixels that do not count.
     pub fn ignored_pixels(&self) -> usize {
         self.counted.as_ref().map_or(0, |counted| counted.iter().filter(|&&counts| !counts).count())
     }
@@ -92,6 +95,7 @@ impl Picture {
         self.alpha.as_ref().is_some_and(|alpha| alpha[pixel] <= TRANSPARENT) && self.counts(pixel)
     }
 
+    /// Alpha in 0..1 of a pixel.
     pub fn alpha(&self, pixel: usize) -> f32 {
         self.alpha.as_ref().map_or(1.0, |alpha| unit(alpha[pixel]))
     }
@@ -111,6 +115,7 @@ impl Picture {
         }
     }
 
+    /// Size in memory, bytes.
     pub fn size_bytes(&self) -> usize {
         self.bytes.len() + self.alpha.as_ref().map_or(0, Vec::len) + self.counted.as_ref().map_or(0, Vec::len)
     }

@@ -15,6 +15,7 @@ use crate::config::budget::MEGABYTE;
 /// colours change pictures most, opacities and margins least.
 const RAISED: [usize; 7] = [1, 6, 0, 2, 5, 3, 4];
 
+/// Why there is no compressed scene, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum CompressError {
     #[error(
@@ -31,6 +32,7 @@ pub enum CompressError {
     Scene(#[from] dpges_core::Error),
 }
 
+/// A scene in the compressed format.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compressed {
     pub quality: Quality,
@@ -58,7 +60,7 @@ impl Compressed {
     }
 }
 
-/// What a compressed scene is made for.
+/// The goal of a compression.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Goal {
     Quality(Quality),

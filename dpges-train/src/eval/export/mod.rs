@@ -6,6 +6,7 @@ pub mod splats;
 
 use dpges_render::export::ExportError;
 
+/// Why there is no file.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportFailure {
     #[error(transparent)]

@@ -14,6 +14,7 @@ use crate::eval::splat_fit::fit;
 /// Steps of a fit between two lines about it.
 const REPORT_EVERY: usize = 50;
 
+/// Formats of splats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SplatFormat {
     Ply,

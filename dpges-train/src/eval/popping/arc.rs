@@ -9,6 +9,7 @@ use dpges_render::CameraPath;
 
 use crate::dataset::{Dataset, View};
 
+/// Frames of the path.
 pub const FRAMES: usize = 60;
 /// Length of the path that is aimed at, in extents of the scene: 7 frames are 3 % of an extent.
 const LENGTH: f64 = 0.25;

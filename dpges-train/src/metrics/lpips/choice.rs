@@ -10,6 +10,7 @@ use burn::tensor::Device;
 use super::installed::{installed, path};
 use super::{Lpips, LpipsError, Network, Weights};
 
+/// Why networks cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum ChoiceError {
     #[error("--lpips: `none` does not go with networks")]

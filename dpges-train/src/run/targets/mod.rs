@@ -22,6 +22,7 @@ use crate::config::Config;
 use crate::dataset::Dataset;
 use crate::eval::{EvalReport, TargetReport};
 
+/// A time or a speed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target {
     wanted: Wanted,

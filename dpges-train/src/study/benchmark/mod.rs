@@ -41,6 +41,7 @@ const LOG: &str = "log.txt";
 /// Held by that process.
 const LOCK: &str = "lock";
 
+/// The request of a user.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
     pub data: PathBuf,

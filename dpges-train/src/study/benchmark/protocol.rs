@@ -73,6 +73,7 @@ impl Protocol {
         Ok(())
     }
 
+    /// In words.
     pub fn sentences(&self) -> [&'static str; 3] {
         let primitives = if self.own_caps {
             "Methods that relocate Gaussians have as many as in their own publications; where these do not say how many, it is \

@@ -141,10 +141,12 @@ pub static WAYS: LazyLock<Vec<Way>> = LazyLock::new(|| {
 });
 
 impl Published {
+    /// Of datasets.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.datasets.iter().map(|dataset| &dataset.name[..])
     }
 
+    /// The dataset that is called `name`.
     pub fn dataset(&self, name: &str) -> Option<&DatasetEntry> {
         self.datasets.iter().find(|dataset| dataset.name == name)
     }
@@ -155,6 +157,7 @@ impl DatasetEntry {
         self.groups.iter().flat_map(|group| group.scenes.iter().map(String::as_str))
     }
 
+    /// The group of `scene`.
     pub fn group(&self, scene: &str) -> Option<&Group> {
         self.groups.iter().find(|group| group.scenes.iter().any(|other| other == scene))
     }

@@ -43,6 +43,7 @@ impl Mark {
     }
 }
 
+/// A column of a table.
 #[derive(Clone, Copy, Debug)]
 pub struct Column {
     pub dataset: &'static DatasetEntry,
@@ -100,6 +101,7 @@ pub struct Order {
     pub agreeing: usize,
 }
 
+/// All tables of a benchmark.
 #[derive(Debug)]
 pub struct Tables {
     pub tables: Vec<Table>,

@@ -22,6 +22,7 @@ use crate::eval::{Measures, ViewScore, mean_scores, score_picture};
 use crate::metrics::lpips::Lpips;
 use crate::run::scene::in_scene;
 
+/// Folder of the pictures in that of the study.
 pub const PICTURES: &str = "pictures";
 /// Rounds over the cameras that are not counted.
 const WARM_UP: usize = 1;

@@ -72,6 +72,7 @@ impl Change {
         all
     }
 
+    /// The name of the knob.
     pub fn knob(self) -> &'static str {
         match self {
             Self::Layers(_) => "layers",

@@ -8,7 +8,7 @@ use super::super::Result;
 use super::super::store::checksum;
 use super::bench::Bench;
 
-/// What is drawn, and on what.
+/// The scene, the views and the device of a trade.
 #[derive(Clone, Copy, Debug)]
 pub struct Subject<'a> {
     /// The scene file.

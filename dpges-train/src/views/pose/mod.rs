@@ -74,6 +74,7 @@ impl PoseCorrection {
     }
 }
 
+/// How far cameras have been moved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseChanges {
     pub mean_degrees: f64,
@@ -132,6 +133,7 @@ impl RefinedPose {
     }
 }
 
+/// Refined poses of views by their names.
 pub type RefinedPoses = BTreeMap<String, RefinedPose>;
 
 /// Corrects the cameras of those of `views` that have a refined pose.

@@ -126,6 +126,7 @@ impl PoseState {
         vec![(STEPS, steps), (GRADIENTS, gradients.collect())]
     }
 
+    /// Whether poses are refined.
     pub fn is_on(&self) -> bool {
         self.0.is_some()
     }

@@ -9,6 +9,7 @@ pub const MIN_SCALE: f64 = 1e-3;
 /// Smallest dᵀ Σ⁻¹ d that is divided by.
 pub const MIN_FORM: f64 = 1e-5;
 
+/// A Gaussian as rays meet it.
 #[derive(Clone, Copy, Debug)]
 pub struct AlongRay<T> {
     pub splat: Splat<T>,

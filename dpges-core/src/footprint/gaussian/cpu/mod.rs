@@ -22,6 +22,7 @@ pub const JACOBIAN_MARGIN: f64 = 0.15;
 /// Scales are relative to the largest, or to this if that is smaller, world units.
 pub const LEAST_SCALE: f64 = 1e-37;
 
+/// Raw parameters of one Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct Parameters<T> {
     pub position: V3<T>,
@@ -296,6 +297,7 @@ impl<T: Real> Splat<T> {
     }
 }
 
+/// Gradients with respect to the raw parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct ParameterGrad<T> {
     pub position: V3<T>,

@@ -14,6 +14,7 @@ use crate::math::{CameraOf, V3};
 use crate::scene::ScreenFilter;
 use crate::tiles::PixelRect;
 
+/// Footprint of one such Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct Student<T> {
     /// Its strength is |o|, its squared radius that at which |α| reaches the cutoff.

@@ -145,6 +145,7 @@ fn centre_backward(view: CameraUniforms, p: Projection, grad_x: f32, grad_y: f32
     }
 }
 
+/// From the moments to the raw parameters.
 #[cube]
 pub fn splat_backward(
     view: CameraUniforms,

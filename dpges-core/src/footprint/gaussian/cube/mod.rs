@@ -29,6 +29,7 @@ use crate::scene::ScreenFilter;
 pub const CUTOFF_F32: f32 = CUTOFF as f32;
 pub const INVERSE_CUTOFF: f32 = (1.0 / CUTOFF) as f32;
 
+/// Number of values in a [`Splat`].
 pub const SPLAT: usize = Splat::LEN;
 
 record! {
@@ -106,6 +107,7 @@ impl Splat {
     }
 }
 
+/// A point of a rectangle.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Nearest {

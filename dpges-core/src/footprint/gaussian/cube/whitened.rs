@@ -39,6 +39,7 @@ record! {
     }
 }
 
+/// Numbers of a [`Whitened`].
 pub const WHITENED: usize = Whitened::LEN;
 
 #[derive(CubeType, Clone, Copy)]
@@ -129,6 +130,7 @@ impl Whitened {
     }
 }
 
+/// Adds what a pixel says to the sums of a Gaussian.
 #[cube]
 pub fn add_whitened_sums(own: &mut Array<f32>, grad: RayGrad, power: f32) {
     own[0] += grad.a.x;

@@ -35,6 +35,7 @@ pub struct Plane<T> {
     pub distance: T,
 }
 
+/// The point where a ray meets a disc.
 #[derive(Clone, Copy, Debug)]
 pub struct Hit<T> {
     pub u: T,
@@ -232,6 +233,7 @@ impl Disc {
     }
 }
 
+/// Raw parameters of one surfel.
 #[derive(Clone, Copy, Debug)]
 pub struct Parameters {
     pub position: V3<f64>,

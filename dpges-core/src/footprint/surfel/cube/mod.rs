@@ -25,7 +25,9 @@ use crate::gpu::vector::{
 };
 use crate::gpu::view::{CameraUniforms, Rests};
 
+/// Number of values in a [`Plane`].
 pub const PLANE: usize = Plane::LEN;
+/// Number of values in the sums over the pixels of a disc.
 pub const DISC_SUMS: usize = DiscSums::LEN;
 pub const MIN_FACING: f32 = on_cpu::MIN_FACING as f32;
 const LARGEST_LOG_SCALE: f32 = on_cpu::LARGEST_LOG_SCALE as f32;
