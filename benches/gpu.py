@@ -8,7 +8,6 @@ the whole file or nothing, so that a part that fails or takes too long loses no 
 """
 
 import argparse
-import importlib.util
 import json
 import os
 import platform
@@ -28,7 +27,6 @@ LIMITS = {
     "step": 60,
     "step-large": 110,
     "dataset": 120,
-    "gsplat": 60,
 }
 TAIL = 4000
 # Where containers with the driver of NVIDIA mount it.
@@ -128,12 +126,12 @@ class Kit:
     def step(self):
         return {
             "builtin": self.bench_step("builtin", self.sizes.builtin, "step_builtin"),
-            "realistic": self.bench_step("realistic", self.sizes.step, "step_realistic", save=True),
+            "realistic": self.bench_step("realistic", self.sizes.step, "step_realistic"),
             "blended": self.bench_step("realistic", [*self.sizes.step, "--stage", "blended"], "step_blended"),
         }
 
     def step_large(self):
-        return self.bench_step("realistic", self.sizes.large, "step_large", save=True)
+        return self.bench_step("realistic", self.sizes.large, "step_large")
 
     def dataset(self):
         if self.options.dataset is None:
@@ -141,28 +139,9 @@ class Kit:
         trained = [self.options.dataset.resolve(), *self.sizes.dataset]
         return {"evaluation": self.trained("dataset", trained)}
 
-    def gsplat(self):
-        missing = [name for name in ("torch", "gsplat") if importlib.util.find_spec(name) is None]
-        if missing:
-            raise LeftOut(f"{' and '.join(missing)} cannot be imported by {sys.executable}")
-        results = {}
-        for name in ("step_realistic", "step_large"):
-            scene, answer = self.out / f"{name}.safetensors", self.out / f"{name}.json"
-            if not (scene.is_file() and answer.is_file()):
-                continue
-            splats, result = self.out / f"{name}.ply", self.out / f"{name}_gsplat.json"
-            self.run("export", scene, "--format", "ply", "--out", splats)
-            script = Path(__file__).resolve().with_name("gsplat_step.py")
-            program = [sys.executable, str(script), str(splats), str(answer), "--json", str(result)]
-            results[name] = self.run_program(program, answer=result)
-        if not results:
-            raise LeftOut("there is no scene to compare with: run the part `step` or `step-large` as well")
-        return results
-
-    def bench_step(self, scene, sizes, name, save=False):
+    def bench_step(self, scene, sizes, name):
         answer = self.out / f"{name}.json"
-        saved = ["--save-scene", self.out / f"{name}.safetensors"] if save else []
-        more = ["--device", self.options.device, *saved, "--json", answer]
+        more = ["--device", self.options.device, "--json", answer]
         return self.run("bench", "step", scene, *sizes, *self.sizes.rounds, *more, answer=answer)
 
     def trained(self, name, arguments):

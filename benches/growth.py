@@ -49,7 +49,7 @@ def main():
         print(f"\n| {unit} | step, ms | exponent | peak memory, MB | exponent |\n|---:|---:|---:|---:|---:|")
         for size, arguments in sizes:
             measured = measure(options, arguments)
-            rows.append({unit: size, "ms": measured["time"]["median_ms"], "bytes": measured["process_peak_bytes"]})
+            rows.append({unit: size, "ms": measured["median_ms"], "bytes": measured["process_peak_bytes"]})
             print(row_of(rows, unit), flush=True)
     if options.json:
         options.json.write_text(json.dumps({"device": options.device, "sweeps": sweeps}, indent=1) + "\n")
@@ -84,7 +84,7 @@ def measure(options, arguments):
             if done.returncode != 0:
                 sys.exit(f"{' '.join(map(str, command))} failed:\n{done.stderr}")
             report = json.loads(answer.read_text())
-        wanted = math.ceil(1000 * MEASURED_S / report["time"]["median_ms"])
+        wanted = math.ceil(1000 * MEASURED_S / report["median_ms"])
         if rounds > ROUNDS[0] or wanted <= rounds:
             return report
         rounds = min(wanted, ROUNDS[1])

@@ -1,12 +1,13 @@
-//! `cargo bench -p dpges-benches --bench ops`: each operation, and a whole training step.
+//! `cargo bench -p dpges-benches --bench ops -- [NAME …]`: the time of each operation, forward and backward, on every device.
+//! `dpges bench step` measures a whole step.
 
 use std::hint::black_box;
-use std::time::Duration;
+use std::time::Instant;
 
 use burn::tensor::{DType, Device, Tensor};
-use criterion::{BatchSize, Criterion, SamplingMode, criterion_group, criterion_main};
-use dpges_benches::training::{Parameter, Training, Variant, adam_settings};
-use dpges_benches::{devices, machine, plain};
+use clap::Parser;
+use dpges_benches::{devices, machine};
+use dpges_core::ops::adam::{AdamStep, adam_step};
 use dpges_core::ops::blend::{Blend, BlendOptions, Form, blend};
 use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
 use dpges_core::ops::interval_limits::interval_limits;
@@ -18,39 +19,83 @@ use dpges_core::scene::schema::Columns;
 use dpges_core::scene::{Gaussians, MarginLookup, Surfels};
 use dpges_core::testing::scenes::{TestScene, realistic};
 
-const SURFELS: usize = 10_000;
-const GAUSSIANS: usize = 100_000;
-const SIZE: usize = 400;
 const BLENDING: CompositeOptions = CompositeOptions { background: [0.0; 3], detach_transmittance: false };
+/// Runs before those whose median counts.
+const WARM_UP: usize = 2;
 
-fn scene() -> TestScene {
-    realistic(SURFELS, GAUSSIANS, SIZE, SIZE, 1)
+#[derive(Parser)]
+struct Arguments {
+    /// Parts of names, such as `wgpu` or `blend`; everything without
+    names: Vec<String>,
+    #[arg(long, default_value_t = 10_000)]
+    surfels: usize,
+    #[arg(long, default_value_t = 100_000)]
+    gaussians: usize,
+    #[arg(long, default_value_t = 400)]
+    width: usize,
+    #[arg(long, default_value_t = 400)]
+    height: usize,
+    #[arg(long, default_value_t = 10)]
+    repeats: usize,
+    /// Given by `cargo bench`
+    #[arg(long, hide = true)]
+    bench: bool,
 }
 
 /// A rendered view whose tensors are leaves of a tape, or off it.
-struct Fixture {
-    scene: TestScene,
+struct Fixture<'a> {
+    arguments: &'a Arguments,
+    scene: &'a TestScene,
+    name: &'static str,
     device: Device,
     surfels: Surfels,
     gaussians: Gaussians,
     render: Render,
 }
 
-impl Fixture {
-    fn new(device: &Device) -> Self {
-        let scene = scene();
-        let (surfels, gaussians) = scene.tensors(device, DType::F32);
+impl<'a> Fixture<'a> {
+    fn new(arguments: &'a Arguments, scene: &'a TestScene, (name, device): (&'static str, Device)) -> Self {
+        let (surfels, gaussians) = scene.tensors(&device, DType::F32);
         let render = render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).unwrap();
-        Self { scene, device: device.clone(), surfels, gaussians, render }
+        Self { arguments, scene, name, device, surfels, gaussians, render }
     }
 
-    fn peel(&self) -> Layers {
-        self.peel_leaves(|t| t)
+    /// Prints the median time of `run` on what `make` has made, if its name is wanted.
+    fn time<I, O>(&self, operation: &str, make: impl Fn() -> I, run: impl Fn(I) -> O) {
+        let name = format!("{} {operation}", self.name);
+        if !self.arguments.names.is_empty() && !self.arguments.names.iter().any(|wanted| name.contains(wanted)) {
+            return;
+        }
+        let once = |_| {
+            let input = make();
+            self.sync();
+            let start = Instant::now();
+            let output = black_box(run(input));
+            self.sync();
+            let elapsed = start.elapsed();
+            drop(output);
+            1e3 * elapsed.as_secs_f64()
+        };
+        let mut times: Vec<f64> = (0..WARM_UP + self.arguments.repeats).map(once).skip(WARM_UP).collect();
+        times.sort_by(f64::total_cmp);
+        println!("{:9.3} ms  {name}", times[times.len() / 2]);
     }
 
-    fn peel_leaves(&self, of: impl Fn(Tensor<2>) -> Tensor<2>) -> Layers {
+    fn forward<O>(&self, operation: &str, run: impl Fn() -> O) {
+        self.time(operation, || (), |()| run());
+    }
+
+    fn backward(&self, operation: &str, make: impl Fn() -> Tensor<1>) {
+        self.time(&format!("{operation} backward"), make, |loss| loss.backward());
+    }
+
+    fn sync(&self) {
+        self.device.sync().unwrap();
+    }
+
+    fn peel(&self, of: impl Fn(&Tensor<2>) -> Tensor<2>) -> Layers {
         let s = &self.surfels;
-        let [p, q, l] = [&s.positions, &s.quaternions, &s.log_scales].map(|tensor| of(tensor.clone()));
+        let [p, q, l] = [&s.positions, &s.quaternions, &s.log_scales].map(of);
         peel(&p, &q, &l, &self.scene.camera, &PeelOptions::default()).unwrap()
     }
 
@@ -74,11 +119,9 @@ impl Fixture {
     }
 
     /// All outputs that carry gradients.
-    fn blend_loss(&self, options: &BlendOptions, with_probe: bool) -> Tensor<1> {
-        let colours = &self.render.gaussian_colours;
-        let zeros = || Tensor::<2>::zeros([self.gaussians.len(), 4], (&colours.device(), colours.dtype()));
-        let probe = with_probe.then(|| leaf(&zeros()));
-        let out = blend(&self.gaussian_leaves(), &leaf(colours), probe.as_ref(), &self.scene.camera, options).unwrap();
+    fn blend_loss(&self, options: &BlendOptions) -> Tensor<1> {
+        let colours = leaf(&self.render.gaussian_colours);
+        let out = blend(&self.gaussian_leaves(), &colours, None, &self.scene.camera, options).unwrap();
         let loss = out.colour.sum() + out.alpha.sum();
         match out.maps {
             Some(maps) => loss + maps.depth.sum() + maps.normal.sum() + maps.distortion.sum(),
@@ -86,30 +129,32 @@ impl Fixture {
         }
     }
 
+    fn composite(&self, sums: &Tensor<4>) -> Composite {
+        composite(&self.render.layers, &self.render.surfel_colours, sums, &BLENDING).unwrap()
+    }
+
     /// Image, surfel image and transmittance, which the losses use, weighted so that all have gradients.
-    fn composite(&self, sums: &Tensor<4>, own: bool) -> Composite {
-        self.composite_of(self.render.layers.clone(), self.render.surfel_colours.clone(), sums.clone(), own)
-    }
-
-    fn composite_of(&self, layers: Layers, colours: Tensor<2>, sums: Tensor<4>, own: bool) -> Composite {
-        if own {
-            composite(&layers, &colours, &sums, &BLENDING).unwrap()
-        } else {
-            plain::composite(&layers, colours, sums, &BLENDING)
-        }
-    }
-
-    fn composite_loss(&self, sums: &Tensor<4>, own: bool) -> Tensor<1> {
+    fn composite_loss(&self, sums: &Tensor<4>) -> Tensor<1> {
         let mut layers = self.render.layers.clone();
         layers.alpha = leaf(&layers.alpha);
         layers.depth = layers.depth.autodiff();
         layers.ids = layers.ids.autodiff();
-        let out = self.composite_of(layers, leaf(&self.render.surfel_colours), leaf(sums), own);
+        let out = composite(&layers, &leaf(&self.render.surfel_colours), &leaf(sums), &BLENDING).unwrap();
         out.image.sum() + out.surfel_image.sum() + out.transmittance.sum()
     }
 
-    fn sync(&self) {
-        self.device.sync().unwrap();
+    /// Adam for positions, rotations, scales and colours of all Gaussians.
+    fn adam(&self) {
+        let g = &self.gaussians;
+        let values = [&g.positions, &g.quaternions, &g.log_scales, &g.colour.base, &g.colour.detail];
+        let gate = Tensor::ones([1], (&self.device, DType::F32));
+        let settings = AdamStep { learning_rate: 1e-6, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };
+        // of its own, since a shared tensor could not be stepped in place
+        let own = |value: &Tensor<2>| value.clone() + 0.0;
+        let state = || values.map(|value| (own(value), [(); 2].map(|()| own(&value.zeros_like())), own(value)));
+        self.time("Adam", state, |state| {
+            state.map(|(value, moments, grad)| adam_step(value, moments, &grad, &gate, &settings).unwrap())
+        });
     }
 }
 
@@ -127,100 +172,31 @@ fn blends() -> [(&'static str, BlendOptions); 4] {
     ]
 }
 
-/// Adam's parameters of a step: positions, rotations, scales and colours of all Gaussians.
-fn parameters(view: &Fixture) -> Vec<(Parameter, Tensor<2>)> {
-    let g = &view.gaussians;
-    [&g.positions, &g.quaternions, &g.log_scales, &g.colour.base, &g.colour.detail]
-        .map(|tensor| (Parameter::new(tensor), tensor.clone() * 1e-3))
-        .into()
-}
-
-fn operations(c: &mut Criterion) {
-    println!("{}", machine());
-    for (name, device) in devices() {
-        let view = Fixture::new(&device);
+fn main() {
+    let arguments = Arguments::parse();
+    let Arguments { surfels, gaussians, width, height, repeats, .. } = arguments;
+    println!("{}; {surfels} surfels, {gaussians} Gaussians, {width} × {height} px, medians of {repeats}", machine());
+    let scene = realistic(surfels, gaussians, width, height, 1);
+    for device in devices() {
+        let view = Fixture::new(&arguments, &scene, device);
         let sums = view.splat();
-        let mut group = c.benchmark_group(name);
-        group.sampling_mode(SamplingMode::Flat);
-        let mut forward = |operation: &str, run: &dyn Fn()| {
-            group.bench_function(operation, |b| {
-                b.iter(|| {
-                    run();
-                    view.sync();
-                });
-            });
-        };
-        forward("peel", &|| _ = black_box(view.peel()));
-        forward("limits", &|| {
-            let margins = &view.surfels.margins;
-            _ = black_box(interval_limits(&view.render.layers, margins, MarginLookup::Shifted).unwrap());
-        });
-        forward("splat", &|| _ = black_box(view.splat()));
-        forward("composite", &|| _ = black_box(view.composite(&sums, true)));
-        forward("composite, plain", &|| _ = black_box(view.composite(&sums, false)));
         let (image, target) = (&view.render.composite.image, &view.render.composite.surfel_image);
-        forward("ssim", &|| _ = black_box(ssim(image, target).unwrap()));
-        forward("render", &|| {
-            _ = black_box(
-                render(&view.surfels, &view.gaussians, &view.scene.camera, &RenderOptions::default()).unwrap(),
-            );
-        });
+        let margins = &view.surfels.margins;
+        view.forward("peel", || view.peel(Tensor::clone));
+        view.forward("limits", || interval_limits(&view.render.layers, margins, MarginLookup::Shifted).unwrap());
+        view.forward("splat", || view.splat());
+        view.forward("composite", || view.composite(&sums));
+        view.forward("ssim", || ssim(image, target).unwrap());
+        let options = RenderOptions::default();
+        view.forward("render", || render(&view.surfels, &view.gaussians, &scene.camera, &options).unwrap());
+        view.backward("peel", || view.peel(leaf).alpha.sum());
+        view.backward("splat", || view.splat_leaves().sum());
+        view.backward("composite", || view.composite_loss(&sums));
+        view.backward("ssim", || ssim(&leaf(image), &target.clone().autodiff()).unwrap());
         for (operation, options) in blends() {
-            forward(operation, &|| _ = black_box(view.blend(&options)));
-            // no output depends on the probe, so it costs nothing forward
-            let probes: &[(&str, bool)] =
-                if options.form == Form::Discs { &[("", false), (", probe", true)] } else { &[("", false)] };
-            for &(suffix, with_probe) in probes {
-                forward(&format!("{operation}{suffix}, forward and backward"), &|| {
-                    _ = black_box(view.blend_loss(&options, with_probe).backward());
-                });
-            }
+            view.forward(operation, || view.blend(&options));
+            view.backward(operation, || view.blend_loss(&options));
         }
-        let mut backward = |operation: &str, make: &dyn Fn() -> Tensor<1>| {
-            group.bench_function(format!("{operation} backward"), |b| {
-                let run = |loss: Tensor<1>| {
-                    let gradients = black_box(loss.backward());
-                    view.sync();
-                    gradients
-                };
-                b.iter_batched(make, run, BatchSize::PerIteration);
-            });
-        };
-        backward("peel", &|| view.peel_leaves(|t| leaf(&t)).alpha.sum());
-        backward("splat", &|| view.splat_leaves().sum());
-        backward("composite", &|| view.composite_loss(&sums, true));
-        backward("composite, plain", &|| view.composite_loss(&sums, false));
-        backward("ssim", &|| ssim(&leaf(image), &target.clone().autodiff()).unwrap());
-        for (operation, own) in [("Adam", true), ("Adam, plain", false)] {
-            let (mut parameters, mut time) = (parameters(&view), 0);
-            group.bench_function(operation, |b| {
-                b.iter(|| {
-                    time += 1;
-                    parameters.iter_mut().for_each(|(p, grad)| p.step(grad.clone(), adam_settings(time), own));
-                    view.sync();
-                });
-            });
-        }
+        view.adam();
     }
 }
-
-fn steps(c: &mut Criterion) {
-    for (name, device) in devices() {
-        let mut group = c.benchmark_group(format!("step on {name}"));
-        group.sampling_mode(SamplingMode::Flat);
-        for variant in [Variant::OWN, Variant::PLAIN_COMPOSITE, Variant::PLAIN_ADAM, Variant::PLAIN] {
-            let mut training = Training::new(&scene(), &device);
-            group.bench_function(variant.name(), |b| b.iter(|| black_box(training.step(variant))));
-        }
-    }
-}
-
-fn short() -> Criterion {
-    Criterion::default()
-        .sample_size(10)
-        .warm_up_time(Duration::from_millis(300))
-        .measurement_time(Duration::from_millis(1500))
-}
-
-criterion_group! { name = all; config = short(); targets = operations, steps }
-criterion_main!(all);

@@ -1,9 +1,6 @@
-//! Parts of the benchmarks: a training step in its parts and as a whole, and the same step with
-//! compositing and Adam as plain tensor operations; the joint stage alone.
+//! Parts of the benchmarks: devices, the machine; the joint stage alone.
 
 pub mod joint;
-pub mod plain;
-pub mod training;
 
 use burn::tensor::{Device, DeviceType};
 use dpges_core::camera::Camera;

@@ -67,7 +67,7 @@ pub struct Camera {
     /// Fragments, and Gaussians by their centres, exist only beyond this depth.
     pub near: f64,
     /// The lens; `None` for a pinhole camera.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub lens: Option<Lens>,
 }
 

@@ -61,7 +61,7 @@ mod options;
 mod order;
 mod passes;
 pub mod path;
-mod percentile;
+pub mod percentile;
 mod profile;
 mod renderer;
 mod scene;

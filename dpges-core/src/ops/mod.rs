@@ -1,6 +1,6 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
 //! [`peel`], [`interval_limits`](mod@interval_limits), [`splat`], [`composite`], [`environment`](mod@environment),
-//! [`photometric`], [`surfel_loss`], [`scale_loss`], [`join`], [`adam`]. [`coverage`] and [`jitter`] serve refinement, and
+//! [`photometric`], [`surfel_loss`], [`scale_loss`], [`adam`]. [`coverage`] and [`jitter`] serve refinement, and
 //! [`unpack`](mod@unpack) brings photographs and masks to a GPU.
 //! [`blend`] replaces peel, splat and composite where Gaussians or discs are trained alone, [`harmonics`](mod@harmonics)
 //! and `splat` where they are summed.
@@ -39,7 +39,6 @@ pub(crate) mod fixtures;
 pub mod harmonics;
 pub mod interval_limits;
 pub mod jitter;
-pub mod join;
 pub mod peel;
 pub mod photometric;
 pub mod scale_loss;

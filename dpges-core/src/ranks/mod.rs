@@ -30,17 +30,6 @@ pub trait Ranks: Debug + Send + Sync {
     fn gather(&self, own: &[u8]) -> Vec<Vec<u8>>;
 }
 
-/// Sums of a view of so many `pixels` and `layers`: 4 K numbers a pixel.
-pub fn sums_of_view(pixels: usize, layers: usize) -> usize {
-    4 * layers * pixels
-}
-
-/// Bytes that each of `ranks` sends to [join](Ranks::join) so many `numbers`: all but its own part to the others, then its own
-/// part to each of them.
-pub fn sent_bytes(numbers: usize, ranks: usize) -> usize {
-    2 * (ranks - 1) * numbers.div_ceil(ranks) * size_of::<f32>()
-}
-
 /// The only rank of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Alone;

@@ -1,6 +1,6 @@
 use burn::tensor::{DType, Tensor};
 
-use super::{Alone, Ranks, sent_bytes, sums_of_view};
+use super::{Alone, Ranks};
 use crate::counters::transfers::uploaded;
 use crate::ops::environment::environment;
 use crate::render::pose::PoseProbe;
@@ -154,14 +154,4 @@ fn a_rank_that_is_gone_ends_the_others() {
             ranks.gather(&[]);
         }
     });
-}
-
-#[test]
-fn bytes_of_a_view_do_not_grow_with_the_number_of_ranks() {
-    // 1600 × 1060 px, 48 bytes a pixel
-    let view = 1600 * 1060 * 48;
-    let sums = sums_of_view(1600 * 1060, 3);
-    assert_eq!(sent_bytes(sums, 1), 0);
-    assert_eq!(sent_bytes(sums, 2), view);
-    assert!((1..100).all(|ranks| sent_bytes(sums, ranks) < 2 * view + 2 * 4 * ranks));
 }

@@ -1,6 +1,6 @@
-//! Files that are either the old one or the complete new one, never half of it.
+//! Files that are either the old one or the complete new one, never half of it, and that one process at a time works on.
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io;
 use std::path::Path;
 
@@ -22,6 +22,27 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut File) -> io::Result
 pub fn make_folder(path: &Path) -> Result<()> {
     let failed = |source| Error::Io { action: "cannot make folder", path: path.to_owned(), source };
     std::fs::create_dir_all(path).map_err(failed)
+}
+
+/// Waits until no other process holds the lock file at `path`, and keeps others from it until the result is dropped. `waits` is
+/// called before it waits.
+///
+/// # Errors
+/// [`Error::Io`] naming `path` if its folder does not exist or cannot be written.
+pub fn lock(path: &Path, waits: impl FnOnce()) -> Result<File> {
+    let locked = || -> io::Result<File> {
+        let file = File::create(path)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                waits();
+                file.lock()?;
+            }
+            Err(TryLockError::Error(error)) => return Err(error),
+        }
+        Ok(file)
+    };
+    locked().map_err(|source| Error::Io { action: "cannot lock", path: path.to_owned(), source })
 }
 
 fn replace(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
@@ -63,6 +84,20 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         write_atomically(&path, |file| file.write_all(b"new")).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"new");
+    }
+
+    #[test]
+    fn a_lock_is_held_until_it_is_dropped() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lock");
+        let held = lock(&path, || panic!("nobody holds it")).unwrap();
+        let (sender, waits) = std::sync::mpsc::channel();
+        std::thread::scope(|scope| {
+            let second = scope.spawn(|| lock(&path, || sender.send(()).unwrap()).unwrap());
+            waits.recv().unwrap();
+            drop(held);
+            second.join().unwrap();
+        });
     }
 
     #[test]

@@ -7,9 +7,8 @@
 //!
 //! A file stores only the spherical Beta lobes that a primitive has (see [`lobes`](super::lobes)). In place of
 //! `surfels.colour.detail` [N, 6 × lobes] stand `surfels.colour.lobe_counts` `[N]`, one byte for every surfel, and
-//! `surfels.colour.lobes` [sum of the counts, 6], those of the first surfel first; likewise for the Gaussians. Files of
-//! version "1", in which `detail` has every lobe, are read as well, and so are [compressed](mod@super::compressed)
-//! files.
+//! `surfels.colour.lobes` [sum of the counts, 6], those of the first surfel first; likewise for the Gaussians.
+//! [Compressed](mod@super::compressed) files are read as well.
 //!
 //! Only scenes of [weighted sums](super::WeightedSum) have the tensors `gaussians.opacity_base` [M, 1] and
 //! `gaussians.opacity_detail` [M, 15], and `weighted_sum` in their info.
@@ -30,8 +29,6 @@ use crate::scene::atomic::write_atomically;
 
 const FORMAT: &str = "dpges-scene";
 const VERSION: &str = "2";
-/// Its files have every lobe of spherical Beta colours.
-const DENSE_VERSION: &str = "1";
 const MAX_LOBES: usize = 64;
 
 impl SceneData {
@@ -131,14 +128,14 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     let file = SafeTensors::deserialize(bytes).map_err(unreadable)?;
     let metadata = header.metadata().clone().unwrap_or_default();
     let entry = |key: &str| metadata.get(key).map(String::as_str);
-    let versions: &[&str] = match entry("format") {
-        Some(FORMAT) => &[VERSION, DENSE_VERSION],
-        Some(compressed::FORMAT) => &[compressed::VERSION],
+    let expected = match entry("format") {
+        Some(FORMAT) => VERSION,
+        Some(compressed::FORMAT) => compressed::VERSION,
         _ => return Err("a safetensors file, but not a dpges scene".to_owned()),
     };
     let version = entry("version").unwrap_or("(none)");
-    if !versions.contains(&version) {
-        return Err(format!("version {version} is unknown, expected {}", versions.join(" or ")));
+    if version != expected {
+        return Err(format!("version {version} is unknown, expected {expected}"));
     }
     let info = entry("info").ok_or("metadata `info` is missing")?;
     let info: SceneInfo = serde_json::from_str(info).map_err(|error| format!("metadata `info`: {error}"))?;
@@ -147,25 +144,19 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     let (surfels, gaussians) = if entry("format") == Some(compressed::FORMAT) {
         compressed::read(&file, &metadata, &info, bytes.len())?
     } else {
-        let packed = version == VERSION;
-        (
-            read_columns::<SurfelData>(&file, info.colour_model, packed)?,
-            read_columns::<GaussianData>(&file, info.colour_model, packed)?,
-        )
+        (read_columns::<SurfelData>(&file, info.colour_model)?, read_columns::<GaussianData>(&file, info.colour_model)?)
     };
     let scene = SceneData { surfels, gaussians, environment: read_environment(&file)?, info };
     scene.check().map_err(|error| error.to_string())?;
     Ok(scene)
 }
 
-/// The attributes of a kind of primitive. Lobes of spherical Beta colours are `packed`, or all there.
-fn read_columns<C: Columns>(file: &SafeTensors, model: ColourModel, packed: bool) -> Result<C::With<Vec<f32>>, String> {
+/// The attributes of a kind of primitive.
+fn read_columns<C: Columns>(file: &SafeTensors, model: ColourModel) -> Result<C::With<Vec<f32>>, String> {
     let count = row_count(file, C::ATTRIBUTES[0].name)?;
     let values = |attribute: &'static Attribute| match (attribute.width, model) {
         _ if attribute.is_left_out(model) => Ok(Vec::new()),
-        (Width::Detail, ColourModel::SphericalBeta { lobes }) if packed => {
-            read_lobes(file, lobe_names(attribute), count, lobes)
-        }
+        (Width::Detail, ColourModel::SphericalBeta { lobes }) => read_lobes(file, lobe_names(attribute), count, lobes),
         _ => read(file, attribute.name, &attribute.stored_shape(count, model)),
     };
     let stored = C::OPTIONAL.iter().take_while(|attribute| file.tensor(attribute.name).is_ok());
@@ -227,7 +218,6 @@ mod tests {
     use super::*;
     use crate::scene::container::{GAUSSIAN_LOBES, SURFEL_LOBES, environment};
     use crate::scene::lobes::ABSENT_LOBE;
-    use crate::scene::schema::Attribute;
     use crate::scene::{BlendOrder, MarginLookup, ScreenFilter};
     use crate::testing::scenes::numbered;
 
@@ -268,32 +258,21 @@ mod tests {
         safetensors::serialize(tensors.into_iter().map(|tensor| (tensor.name, tensor)), Some(metadata)).unwrap()
     }
 
-    fn metadata(scene: &SceneData, version: &str) -> HashMap<String, String> {
+    fn metadata(scene: &SceneData) -> HashMap<String, String> {
         HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
-            ("version".to_owned(), version.to_owned()),
+            ("version".to_owned(), VERSION.to_owned()),
             ("info".to_owned(), serde_json::to_string(&scene.info).unwrap()),
         ])
     }
 
     fn save_bytes(scene: &SceneData, edit: impl Fn(&mut HashMap<String, String>), drop: &str) -> Vec<u8> {
-        let mut metadata = metadata(scene, VERSION);
+        let mut metadata = metadata(scene);
         edit(&mut metadata);
         let mut tensors = scene.stored();
         tensors.extend(environment(scene));
         tensors.retain(|tensor| tensor.name != drop);
         file_bytes(tensors, metadata)
-    }
-
-    /// The tensors of a file of version 1.
-    fn dense(scene: &SceneData) -> Vec<Rows<'static>> {
-        let model = scene.info.colour_model;
-        let surfels = scene.surfels.iter().map(|(attribute, values)| (attribute, scene.surfels.len(), values));
-        let gaussians = scene.gaussians.iter().map(|(attribute, values)| (attribute, scene.gaussians.len(), values));
-        let rows = |(attribute, count, values): (&'static Attribute, usize, &'_ Vec<f32>)| {
-            Rows::numbers(attribute.name, attribute.stored_shape(count, model), values.clone())
-        };
-        surfels.chain(gaussians).map(rows).collect()
     }
 
     /// The file of `scene` with another tensor in place of that with the name of `other`.
@@ -302,7 +281,7 @@ mod tests {
         tensors.extend(environment(scene));
         tensors.retain(|tensor| tensor.name != other.name);
         tensors.push(other);
-        file_bytes(tensors, metadata(scene, VERSION))
+        file_bytes(tensors, metadata(scene))
     }
 
     fn drop_lobe(detail: &mut [f32], lobes: usize, row: usize, lobe: usize) {
@@ -342,18 +321,6 @@ mod tests {
         assert!(without.contains("`gaussians.degrees_of_freedom`"), "{without}");
         students.info.rendering = Rendering::Ellipsoids;
         assert!(refused(&students).contains("`gaussians.degrees_of_freedom`"));
-    }
-
-    #[test]
-    fn a_file_that_does_not_name_the_lookup_has_the_shifted_one() {
-        let scene = scene(TWO_LOBES, 3, 5);
-        let without = |metadata: &mut HashMap<String, String>| {
-            let info = metadata["info"].replace(r#""margin_lookup":"literal","#, "");
-            assert!(!info.contains("margin_lookup"), "{info}");
-            metadata.insert("info".into(), info);
-        };
-        let loaded = read_back(&save_bytes(&scene, without, "")).unwrap();
-        assert_eq!(loaded.info, SceneInfo { margin_lookup: MarginLookup::Shifted, ..scene.info });
     }
 
     #[test]
@@ -409,23 +376,6 @@ mod tests {
     }
 
     #[test]
-    fn files_of_version_1_are_read() {
-        for model in ["sb0", "sb2", "sh3"] {
-            let mut scene = scene(model.parse().unwrap(), 3, 5);
-            if scene.info.colour_model == TWO_LOBES {
-                drop_lobe(&mut scene.surfels.colour.detail, 2, 1, 0);
-            }
-            let bytes = file_bytes(dense(&scene), metadata(&scene, "1"));
-            assert!(SafeTensors::deserialize(&bytes).unwrap().tensor("surfels.colour.detail").is_ok());
-            assert_eq!(read_back(&bytes).unwrap(), scene, "{model}");
-        }
-        let two = scene(TWO_LOBES, 3, 5);
-        let one = scene(ColourModel::SphericalBeta { lobes: 1 }, 3, 5);
-        let error = load_bytes(&file_bytes(dense(&two), metadata(&one, "1")));
-        assert!(error.contains("`surfels.colour.detail` has shape [3, 12], expected [3, 6]"), "{error}");
-    }
-
-    #[test]
     fn a_scene_that_is_wrong_is_not_saved() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.safetensors");
@@ -454,7 +404,7 @@ mod tests {
         assert!(load_bytes(b"ply\nformat binary_little_endian 1.0\n").contains("not a safetensors file"));
         assert!(load_bytes(&save_bytes(&good, |m| drop(m.remove("format")), "")).contains("not a dpges scene"));
         let newer = |m: &mut HashMap<String, String>| drop(m.insert("version".into(), "3".into()));
-        assert!(load_bytes(&save_bytes(&good, newer, "")).contains("version 3 is unknown, expected 2 or 1"));
+        assert!(load_bytes(&save_bytes(&good, newer, "")).contains("version 3 is unknown, expected 2"));
         let no_info = |m: &mut HashMap<String, String>| drop(m.insert("info".into(), "{}".into()));
         assert!(load_bytes(&save_bytes(&good, no_info, "")).contains("`info`"));
         assert!(load_bytes(&save_bytes(&good, |_| {}, "surfels.margins")).contains("`surfels.margins` is missing"));

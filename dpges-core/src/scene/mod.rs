@@ -164,23 +164,15 @@ pub struct SceneInfo {
     /// K: peeled layers.
     pub layer_count: usize,
     pub footprint: Footprint,
-    /// Whether the nearest opaque fragment of a pixel is always a layer. Files without it have no backstop.
-    #[serde(default)]
+    /// Whether the nearest opaque fragment of a pixel is always a layer.
     pub backstop: bool,
-    /// Files without it are [`MarginLookup::Shifted`].
-    #[serde(default)]
     pub margin_lookup: MarginLookup,
-    /// Files without it are [`Rendering::Peeled`].
-    #[serde(default)]
     pub rendering: Rendering,
-    /// Filter of blended Gaussians. Files without it, and everything that is peeled, are [`ScreenFilter::Compensated`].
-    #[serde(default)]
+    /// Filter of blended Gaussians; of everything that is peeled [`ScreenFilter::Compensated`].
     pub screen_filter: ScreenFilter,
-    /// The order of blended Gaussians. Files without it are [`BlendOrder::Centres`].
-    #[serde(default)]
     pub blend_order: BlendOrder,
     /// The numbers of [`Rendering::Summed`]; no other scene has them.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub weighted_sum: Option<WeightedSum>,
     /// Display-referred colour behind everything; an [environment](EnvironmentData) adds to it.
     pub background: [f64; 3],

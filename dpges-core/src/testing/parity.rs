@@ -13,6 +13,7 @@ use super::compare::relative_l2;
 use super::golden::{gradient, values};
 use super::random::Random;
 use super::scenes::TestScene;
+use crate::backend::readback::begin_readback;
 use crate::counters::transfers::uploaded;
 use crate::ops::adam::{AdamStep, adam_step};
 use crate::ops::blend::{BlendOptions, Form, blend};
@@ -24,7 +25,6 @@ use crate::ops::finite::FiniteChecks;
 use crate::ops::harmonics::harmonics;
 use crate::ops::interval_limits::interval_limits;
 use crate::ops::jitter::{JitterOptions, NoiseGate, jitter};
-use crate::ops::join::join;
 use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::photometric::{PhotometricWeights, photometric, ssim};
 use crate::ops::scale_loss::scale_loss;
@@ -256,12 +256,13 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Tensors that are joined, and that are checked: their numbers depend on nothing but their places.
+    /// Tensors that are read together, and that are checked: their numbers depend on nothing but their places.
     fn batches(&mut self) {
         let numbers = |at: usize| Random::new(30).numbers(1 + at % 3, 0.0, 1.0);
         let tensor = |bench: &Self, numbers: &[f64]| bench.tensor(numbers, [numbers.len()]).inner();
         let parts: Vec<Tensor<1>> = (0..14).map(|at| tensor(self, &numbers(at))).collect();
-        self.note("join", &join(&parts));
+        let read = begin_readback(parts.clone()).arrived().expect("the device runs");
+        self.found.push(("readback".into(), read.iter::<f64>().collect()));
         for bad in [None, Some(0), Some(9)] {
             let mut checks = FiniteChecks::default();
             for at in 0..parts.len() {

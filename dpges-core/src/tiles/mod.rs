@@ -5,7 +5,6 @@ pub mod binning;
 pub(crate) mod capacity;
 pub(crate) mod layout;
 pub mod lists;
-pub mod work;
 
 use pulp::Simd;
 

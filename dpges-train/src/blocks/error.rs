@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::run::RunError;
+use crate::run::jobs::OtherRun;
 
 /// Why a step of a capture in blocks cannot be done.
 #[derive(Debug, thiserror::Error)]
@@ -36,8 +37,8 @@ pub enum BlocksError {
     #[error("{missing} is not trained yet: `{command}` does it")]
     Missing { missing: String, command: String },
     /// The folder of a step is not its own.
-    #[error("{} holds another run: {reason}; remove that folder, or plan into another one", .path.display())]
-    OtherRun { path: PathBuf, reason: String },
+    #[error(transparent)]
+    OtherRun(#[from] OtherRun),
     /// A plot cannot be drawn, which is a fault of the program.
     #[error("the picture of the plan cannot be drawn: {0}")]
     Picture(String),

@@ -25,7 +25,6 @@ mod error;
 mod picture;
 pub mod plan;
 mod scenes;
-pub mod slurm;
 pub mod split;
 pub mod steps;
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The steps of a plan as runs: their folders, their configurations, what they begin with, what is left of them.
 
 use std::fmt;
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use dpges_core::Error;
@@ -12,11 +12,13 @@ use serde::{Deserialize, Serialize};
 use super::plan::{Plan, PlannedBlock};
 use super::scenes::{cut, join};
 use super::{BlocksError, Result};
-use crate::config::{Budget, Config, Stop, differences};
+use crate::config::{Budget, Config, Stop};
 use crate::dataset::Dataset;
 use crate::dataset::block::{Block, Bounds};
+use crate::device::DeviceRequest;
 use crate::device::place::Place;
 use crate::run::folder::{RunFolder, write_json};
+use crate::run::jobs::{Job, OtherRun, State, lock, needs_gpu, write_slurm};
 use crate::run::shell::quoted;
 
 /// Length of the joint run relative to a run.
@@ -28,7 +30,6 @@ const SURROUNDINGS: &str = "surroundings.safetensors";
 const INSIDE: &str = "inside.safetensors";
 const JOINED: &str = "joined.safetensors";
 const DONE: &str = "done.json";
-const LOCK: &str = "lock";
 
 /// A step of a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,15 +50,6 @@ impl fmt::Display for Step {
             Self::Merge => f.write_str("the merge"),
         }
     }
-}
-
-/// The remaining part of a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Left {
-    All,
-    /// The steps after its checkpoint.
-    Rest,
-    Nothing,
 }
 
 /// The content of `done.json`.
@@ -133,29 +125,15 @@ impl Capture {
     /// # Errors
     /// If the folder of the step cannot be written.
     pub fn lock(&self, step: Step) -> Result<File> {
-        let path = self.file(step, LOCK);
-        let open = || -> std::io::Result<File> {
-            std::fs::create_dir_all(self.run_folder(step).path())?;
-            let file = File::create(&path)?;
-            match file.try_lock() {
-                Ok(()) => {}
-                Err(TryLockError::WouldBlock) => {
-                    tracing::info!("{step} waits for another process that works on it");
-                    file.lock()?;
-                }
-                Err(TryLockError::Error(error)) => return Err(error),
-            }
-            Ok(file)
-        };
-        open().map_err(|source| Error::Io { action: "cannot lock", path: path.clone(), source }.into())
+        Ok(lock(self.run_folder(step).path(), &step.to_string())?)
     }
 
-    /// The remaining part of a step whose predecessors are done.
+    /// How far a step has come whose predecessors are done.
     ///
     /// # Errors
     /// [`BlocksError::NoBlock`]; [`BlocksError::Missing`] names a step that comes before; [`BlocksError::OtherRun`] if its folder
     /// holds another run.
-    pub fn left(&self, step: Step) -> Result<Left> {
+    pub fn state(&self, step: Step) -> Result<State> {
         if let Step::Block(block) = step {
             self.block(block)?;
         }
@@ -168,16 +146,46 @@ impl Capture {
             return Err(BlocksError::Missing { missing: missing.to_string(), command: self.command(missing) });
         }
         if self.is_done(step) {
-            return Ok(Left::Nothing);
+            return Ok(State::Finished);
         }
         let folder = self.run_folder(step);
         if !folder.has_checkpoint() {
-            return Ok(Left::All);
+            return Ok(State::New);
         }
-        let other = |reason: String| BlocksError::OtherRun { path: folder.path().to_owned(), reason };
-        let found = Config::resolve(None, Some(&folder.config()), &[]).map_err(|error| other(error.to_string()))?;
-        let differences = differences(&found, &self.config(step)?);
-        if differences.is_empty() { Ok(Left::Rest) } else { Err(other(differences.join(", "))) }
+        OtherRun::check(&folder, &self.config(step)?)?;
+        Ok(State::Begun)
+    }
+
+    /// The remaining work, a line for each step.
+    pub fn progress(&self) -> String {
+        let all = std::iter::once(Step::Coarse).chain(self.blocks()).chain([Step::Merge]);
+        let line = |step: Step| {
+            let state = if self.is_done(step) { "done".to_owned() } else { format!("`{}`", self.command(step)) };
+            format!("{step}: {state}\n")
+        };
+        all.map(line).collect()
+    }
+
+    /// Writes [jobs of Slurm](write_slurm) into the folder of the plan: the coarse scene, an array of the blocks, the merge. A job
+    /// asks for a GPU unless `device` is a CPU, and goes on where it was if it is requeued. Returns the paths, one a line.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn write_slurm(&self, device: DeviceRequest) -> Result<String> {
+        let program = std::env::current_exe();
+        let program = program.map_err(|source| Error::Io { action: "cannot find", path: "dpges".into(), source })?;
+        let [program, folder] = [&program, &self.folder].map(|path| quoted(&path.to_string_lossy()));
+        let job = |name, count, step: &str| {
+            let script = format!("exec {program} blocks {step} --device={device}\n");
+            Job { name, count, needs_gpu: needs_gpu(device), after: "afterok", script }
+        };
+        let block = format!("train {folder} --block=\"$SLURM_ARRAY_TASK_ID\"");
+        let jobs = [
+            job("coarse", None, &format!("coarse {folder}")),
+            job("blocks", Some(self.plan.blocks.len()), &block),
+            job("merge", None, &format!("merge {folder}")),
+        ];
+        Ok(write_slurm(&self.folder, &jobs)?)
     }
 
     /// The configuration of the run of a step. That of the merge wants to know what it [begins with](Self::prepare).

@@ -8,12 +8,13 @@ use super::BlocksError;
 use super::cameras::MeasuredBy;
 use super::plan::Plan;
 use super::split::Limit;
-use super::steps::{Capture, Left, Step};
+use super::steps::{Capture, Step};
 use crate::config::{Budget, Config};
 use crate::dataset::block::Block;
 use crate::dataset::{BuiltinOptions, Dataset, builtin};
 use crate::run::fixtures::device;
 use crate::run::folder::{Origin, write_json};
+use crate::run::jobs::State;
 
 fn dataset() -> Dataset {
     let options =
@@ -83,12 +84,12 @@ fn steps_follow_one_another_and_are_done_once() {
     capture.plan.coarse_budget = Some(Budget::Primitives(900));
     assert_eq!(budget(&capture, Step::Coarse), Budget::Primitives(900));
     assert_ne!(budget(&capture, Step::Block(0)), Budget::Primitives(900));
-    let message = |capture: &Capture, step| capture.left(step).unwrap_err().to_string();
+    let message = |capture: &Capture, step| capture.state(step).unwrap_err().to_string();
     assert!(message(&capture, Step::Block(0)).contains("dpges blocks coarse"));
     assert!(message(&capture, Step::Block(2)).contains("the plan has 2"));
-    assert_eq!(capture.left(Step::Coarse).unwrap(), Left::All);
+    assert_eq!(capture.state(Step::Coarse).unwrap(), State::New);
     done(&mut capture, Step::Coarse, &scene());
-    assert_eq!(capture.left(Step::Coarse).unwrap(), Left::Nothing);
+    assert_eq!(capture.state(Step::Coarse).unwrap(), State::Finished);
     assert!(
         message(&capture, Step::Merge).contains("blocks train") && message(&capture, Step::Merge).contains("--block 0")
     );
@@ -115,7 +116,7 @@ fn steps_follow_one_another_and_are_done_once() {
     assert_eq!((joined.surfels.len(), joined.gaussians.len()), (500, 500));
     let merge = capture.config(Step::Merge).unwrap();
     assert_eq!((merge.total_steps(), merge.refine.budget, merge.block()), (30, Budget::Primitives(1000), None));
-    assert_eq!(capture.left(Step::Merge).unwrap(), Left::All);
+    assert_eq!(capture.state(Step::Merge).unwrap(), State::New);
     let slurm = capture.write_slurm("wgpu:1".parse().unwrap()).unwrap();
     assert_eq!(slurm.lines().count(), 4);
     let read = |name: &str| std::fs::read_to_string(at.path().join(name)).unwrap();
@@ -151,7 +152,7 @@ fn a_step_with_other_options_is_refused() {
     let folder = capture.run_folder(Step::Coarse);
     folder.start(&Origin::new("builtin", "cpu"), &Config::with(&["train.steps=9"]).unwrap()).unwrap();
     write_json(&folder.checkpoint(), &"of a step").unwrap();
-    let message = capture.left(Step::Coarse).unwrap_err().to_string();
+    let message = capture.state(Step::Coarse).unwrap_err().to_string();
     assert!(message.contains("`train.steps` is 9, not 300") && message.contains("coarse"), "{message}");
 }
 

@@ -7,13 +7,14 @@ use std::sync::atomic::AtomicBool;
 use clap::{Args, Subcommand};
 use dpges_train::blocks::plan::Plan;
 use dpges_train::blocks::split::{Limit, MOST_POINTS};
-use dpges_train::blocks::steps::{Capture, Left, Step};
+use dpges_train::blocks::steps::{Capture, Step};
 use dpges_train::config::Budget;
 use dpges_train::device::DeviceRequest;
 use dpges_train::device::place::Place;
 use dpges_train::device::ranks::Job;
 use dpges_train::run::child::end_with_the_other;
 use dpges_train::run::folder::Origin;
+use dpges_train::run::jobs::State;
 use dpges_train::run::{Run, SavedRun};
 
 use super::data::Source;
@@ -143,17 +144,17 @@ struct Worker<'a> {
 impl Worker<'_> {
     fn work(&mut self, step: Step, interrupted: &AtomicBool) -> Result<()> {
         let ranks = Arc::clone(&self.job.ranks);
-        self.capture.left(step)?;
+        self.capture.state(step)?;
         let _held = ranks.is_first().then(|| self.capture.lock(step)).transpose()?;
         ranks.gather(&[]);
         // another process may have done it in the meantime
         *self.capture = Capture::open(self.capture.folder())?;
-        let left = self.capture.left(step)?;
-        if left == Left::Nothing {
+        let state = self.capture.state(step)?;
+        if state == State::Finished {
             tracing::info!("{step}: done already");
             return Ok(());
         }
-        if left == Left::All && ranks.is_first() {
+        if state == State::New && ranks.is_first() {
             self.capture.prepare(step)?;
         }
         ranks.gather(&[]);
@@ -162,7 +163,7 @@ impl Worker<'_> {
         let place = Place { device: name.open()?, ranks };
         let config = self.capture.config(step)?;
         let dataset = source.load_for_training(&config)?;
-        let run = if left == Left::Rest {
+        let run = if state == State::Begun {
             let saved = SavedRun::open(folder.clone())?;
             say_resumed(&saved, name);
             Run::resume(saved, dataset, place.clone())?

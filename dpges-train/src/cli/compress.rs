@@ -37,11 +37,11 @@ pub struct CompressArgs {
     /// How exact numbers are [default: medium]
     #[arg(long, value_name = "LEVEL", value_parser = levels())]
     quality: Option<Quality>,
-    /// Instead of a quality: the largest size of the file, as in 10MB, for which the best quality is found
+    /// Instead of a quality: the largest size of the file, as in 10MB, for which the best level is found
     #[arg(long, value_name = "NMB", value_parser = bytes, conflicts_with = "quality")]
     budget: Option<usize>,
-    /// Instead of a quality: the largest loss of PSNR, as in 0.1dB, for which the smallest file is found. Renders up to 32
-    /// views a few dozen times
+    /// Instead of a quality: the largest loss of PSNR, as in 0.1dB, for which the smallest level is found. Renders up to 32
+    /// views a few times
     #[arg(long, value_name = "LOSS", value_parser = decibels, conflicts_with_all = ["quality", "budget"])]
     target: Option<f64>,
     #[command(flatten)]

@@ -109,7 +109,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         }
     }
     if args.lpips.is_empty() && networks.is_empty() {
-        notes.push(("LPIPS", "not measured: `dpges lpips install` gets the network for it".to_owned()));
+        notes.push(("LPIPS", "not measured: tools/lpips_weights.py makes the network for it".to_owned()));
     }
     let report = EvalReport {
         scene: scene.path.display().to_string(),

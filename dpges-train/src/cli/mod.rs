@@ -78,7 +78,6 @@ enum Command {
     Export(export::ExportArgs),
     Compress(compress::CompressArgs),
     Info(info::InfoArgs),
-    Lpips(lpips::NetworksArgs),
     Devices(devices::DevicesArgs),
     Selftest(selftest::SelftestArgs),
 }
@@ -173,7 +172,6 @@ pub fn run() -> ExitCode {
         Command::Export(args) => export::run(&args),
         Command::Compress(args) => compress::run(&args),
         Command::Info(args) => info::run(&args),
-        Command::Lpips(args) => lpips::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Selftest(args) => selftest::run(&args),
     };

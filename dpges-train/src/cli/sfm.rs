@@ -19,8 +19,8 @@ use crate::cli::logging::LogStyle;
 /// Make a dataset of photographs or of a video: find their cameras, by COLMAP
 ///
 /// `dpges train` does the same if it is given photographs or a video. COLMAP must be installed, and ffmpeg for a video. The
-/// dataset has the layout of COLMAP. If this is interrupted or a program fails, the same command goes on. RAYON_NUM_THREADS
-/// limits the threads of the programs.
+/// dataset has the layout of COLMAP. If this is interrupted or a program fails, the same command goes on; a dataset that is
+/// finished stays as it is. RAYON_NUM_THREADS limits the threads of the programs.
 #[derive(Debug, Args)]
 pub struct SfmArgs {
     /// Folder of JPEGs and PNGs, or of a folder `images` or `input` with them; or a video
@@ -28,7 +28,7 @@ pub struct SfmArgs {
     /// Folder of the dataset [default: NAME_colmap, beside the photographs or the video]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Replace the dataset in the folder if it was made of other photographs or with other options
+    /// Make a dataset anew that is in the folder already
     #[arg(long)]
     overwrite: bool,
     #[arg(long, help = key("data.invert_masks").help())]
@@ -90,7 +90,8 @@ pub fn prepare(dataset: Option<&Path>, options: &Options, style: LogStyle) -> Re
     let outcome = reconstruct(&input, &capture::dataset_beside(&input)?, options, false, style)?;
     let Outcome { dataset, photographs, points, .. } = &outcome;
     let placed = outcome.placed();
-    tracing::info!("{}: {placed} of {photographs} photographs have a place, {points} points", dataset.display());
+    let made = if outcome.seconds.is_empty() { " (made before)" } else { "" };
+    tracing::info!("{}{made}: {placed} of {photographs} photographs have a place, {points} points", dataset.display());
     Ok(())
 }
 
@@ -131,7 +132,11 @@ fn summary(outcome: &Outcome, invert_masks: bool) -> String {
     }
     rows.extend([
         ("points", outcome.points.to_string()),
-        ("time", format!("{}: {}", Seconds(total), parts.collect::<Vec<_>>().join(", "))),
+        if outcome.seconds.is_empty() {
+            ("made", "before; --overwrite makes it anew".to_owned())
+        } else {
+            ("time", format!("{}: {}", Seconds(total), parts.collect::<Vec<_>>().join(", ")))
+        },
         ("next", format!("dpges train {dataset}{option}")),
     ]);
     table(&rows)
@@ -151,7 +156,6 @@ impl Observer for Display {
             Step::Features => "looking for features",
             Step::Matches => "comparing pairs of photographs",
             Step::Mapping => "placing the cameras",
-            Step::Model => "taking the largest model",
         };
         let progress = Progress::new(self.style, 0, 1);
         if self.style == LogStyle::Bar {

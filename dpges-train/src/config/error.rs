@@ -6,8 +6,6 @@ use std::path::PathBuf;
 pub enum ConfigError {
     #[error("{origin}: key `{key}` is unknown{}", nearest.as_ref().map(|n| format!(", did you mean `{n}`?")).unwrap_or_default())]
     UnknownKey { key: String, origin: String, nearest: Option<String> },
-    #[error("{origin}: key `{key}` is of an earlier version: {instead}")]
-    FormerKey { key: String, origin: String, instead: &'static str },
     #[error("{origin}: key `{key}`: {reason}")]
     Value { key: String, origin: String, reason: String },
     #[error("{origin} is not valid TOML: {reason}")]

@@ -10,7 +10,6 @@ pub mod keys;
 pub mod memory;
 pub mod pixels;
 pub mod range;
-pub mod removed_keys;
 pub mod sources;
 pub mod stages;
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::{Config, ConfigError, DataConfig, Key, SECTIONS, keys, removed_keys};
+use super::{Config, ConfigError, DataConfig, Key, SECTIONS, keys};
 
 /// Configurations that come with the program: name and TOML, which begins with a comment on what it is for.
 pub const PRESETS: [(&str, &str); 11] = [
@@ -77,8 +77,7 @@ impl Config {
     }
 
     /// The section `[data]` of `file`, the configuration of a run, with each `key=value` of `set` on top. Other sections
-    /// of the file are ignored, and former keys without which the dataset is read as it was: a scene can be older than the
-    /// keys that it was trained with.
+    /// of the file are ignored.
     ///
     /// # Errors
     /// Any [`ConfigError`].
@@ -86,35 +85,13 @@ impl Config {
         let mut config = Self::default();
         if let Some(path) = file {
             let (mut table, origin) = read(path)?;
-            let mut data = table.remove_entry("data");
-            if let Some((_, Value::Table(keys))) = &mut data {
-                keys.retain(|key, value| !removed_keys::dataset_does_without(key, value));
-            }
-            config.assign_table(data.into_iter().collect(), &origin)?;
+            config.assign_table(table.remove_entry("data").into_iter().collect(), &origin)?;
         }
         for text in set {
             config.assign_text(text)?;
         }
         config.validate()?;
         Ok(config.data)
-    }
-
-    /// `file`, the configuration of a run of this or an earlier version, without keys that are no more.
-    ///
-    /// # Errors
-    /// Any [`ConfigError`].
-    pub fn of_run(file: &Path) -> Result<Self, ConfigError> {
-        let mut config = Self::default();
-        let (mut table, origin) = read(file)?;
-        for (section, value) in &mut table {
-            if let Value::Table(keys) = value {
-                keys.retain(|key, _| removed_keys::instead(&format!("{section}.{key}")).is_none());
-            }
-        }
-        table.retain(|_, value| value.as_table().is_none_or(|keys| !keys.is_empty()));
-        config.assign_table(table, &origin)?;
-        config.validate()?;
-        Ok(config)
     }
 
     /// Every key with its value, as TOML that [`Config::resolve`] reads back.
@@ -131,7 +108,7 @@ impl Config {
         for (section, value) in table {
             let is_known = SECTIONS.iter().any(|known| known.name == section);
             match value {
-                Value::Table(keys) if is_known || removed_keys::had_section(&section) => {
+                Value::Table(keys) if is_known => {
                     for (key, value) in keys {
                         self.assign(&format!("{section}.{key}"), value, origin)?;
                     }
@@ -201,12 +178,9 @@ fn find(name: &str, origin: &str) -> Result<&'static Key, ConfigError> {
     keys().find(|key| key.name == name).ok_or_else(|| unknown(name, origin))
 }
 
-/// Names the section or key that `name` is most like, or what has become of it.
+/// Names the section or key that `name` is most like.
 fn unknown(name: &str, origin: &str) -> ConfigError {
     let (key, origin) = (name.to_owned(), origin.to_owned());
-    if let Some(instead) = removed_keys::instead(name) {
-        return ConfigError::FormerKey { key, origin, instead };
-    }
     let last = |name: &str| name.rsplit('.').next().unwrap_or(name).to_owned();
     let likeness = |known: &str| {
         let whole = strsim::jaro_winkler(name, known);
@@ -336,15 +310,9 @@ refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until
     fn a_dataset_is_found_whatever_else_a_run_was_configured_with() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("config.toml");
-        let file = "[data]\nbuiltin_lens = \"none\"\nbuiltin_pose_degrees = 0.0\nsfm = \"glomap\"\nimage_scale = 4\n";
-        std::fs::write(&path, format!("{file}[optimizer]\nof_long_ago = 3\n")).unwrap();
+        std::fs::write(&path, "[data]\nimage_scale = 4\n[optimizer]\nof_another_version = 3\n").unwrap();
         let data = Config::resolve_data(Some(&path), &["data.test_every=5".to_owned()]).unwrap();
         assert_eq!((data.image_scale, data.test_every), (4, 5));
-        assert!(
-            message(Config::resolve(None, Some(&path), &[])).contains("`data.builtin_lens` is of an earlier version")
-        );
-        std::fs::write(&path, "[data]\nbuiltin_lens = \"fisheye\"\n").unwrap();
-        assert!(Config::resolve_data(Some(&path), &[]).unwrap_err().to_string().contains("builtin:lens=fisheye"));
         std::fs::write(&path, "[data]\nimage_scales = 4\n").unwrap();
         assert!(Config::resolve_data(Some(&path), &[]).unwrap_err().to_string().contains("`data.image_scale`"));
         assert_eq!(Config::resolve_data(None, &[]).unwrap(), Config::default().data);
@@ -391,23 +359,6 @@ refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until
         assert!(message(Config::with(&["train.steps"])).contains("key=value"));
         let error = message_about("[optimiser]\nbase = 1\n");
         assert!(error.contains("mine.toml") && error.contains("did you mean `optimizer`"), "{error}");
-    }
-
-    #[test]
-    fn former_keys_say_what_has_become_of_them() {
-        let error = message(Config::with(&["train.deterministic=true"]));
-        assert!(error.contains("key `train.deterministic` is of an earlier version: every run is"), "{error}");
-        assert!(message(Config::with(&["refine.surfel_min_pixels=4"])).contains("refine.surfel_pixels"));
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("run.toml");
-        std::fs::write(&path, "[train]\nstop = \"validation\"\ndeterministic = false\n[relocation]\nnoise = 5e5\n")
-            .unwrap();
-        let error = message_about("[relocation]\nnoise = 1.0\n");
-        assert!(
-            error.contains("mine.toml: key `relocation.noise` is of an earlier version: it is a constant"),
-            "{error}"
-        );
-        assert_eq!(Config::of_run(&path).unwrap().validation_every(3), 8);
     }
 
     #[test]

@@ -98,24 +98,24 @@ pub struct EvalReport {
     pub evaluation: Evaluation,
     pub bytes: u64,
     /// Primitives that float, see [`floaters`]; absent if the dataset does not say which view saw what.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub floaters: Option<Floaters>,
     /// Wall-clock time of the run [up to its last step](crate::run::metrics_log::MetricsLog::seconds_of_steps); absent if the
     /// scene is not that of a run.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub training_seconds: Option<f64>,
     /// The most memory of the process that wrote the report, bytes: [since the run began](crate::device::memory::PeakMemory) if one did,
     /// else so far. Absent where it is not known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub peak_memory_bytes: Option<u64>,
     /// The target of the run, if it had one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
     /// How much the scene pops along [an arc](fn@crate::eval::popping::arc); absent unless it was measured.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub popping: Option<Popping>,
     /// Absent unless they were measured.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_ms: Option<FrameMs>,
 }
 

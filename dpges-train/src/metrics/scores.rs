@@ -9,16 +9,16 @@ use super::lpips::Network;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Perceptual {
     /// From 0 to 1.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub ms_ssim: Option<f64>,
     /// At most 100.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub ssimulacra2: Option<f64>,
     /// An error by the features of AlexNet.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub lpips_alex: Option<f64>,
     /// An error by the features of VGG16.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub lpips_vgg: Option<f64>,
 }
 
@@ -27,16 +27,16 @@ pub struct Perceptual {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fitted {
     /// After the exposure that fits best was applied, dB.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub psnr_fitted: Option<f64>,
     /// Likewise.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub ssim_fitted: Option<f64>,
     /// From the camera that fits best, and after the exposure if that is fitted as well, dB.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub psnr_posed: Option<f64>,
     /// Likewise.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub ssim_posed: Option<f64>,
 }
 

@@ -41,9 +41,6 @@ pub struct RunState {
     pub config: Config,
     pub info: SceneInfo,
     pub completed_steps: usize,
-    /// Whether the scene has been refined as is due after these steps: the step that followed was undone.
-    #[serde(default)]
-    pub refined: bool,
     /// Index of the stage in the plan of the configuration.
     pub stage: usize,
     pub validation: Validation,

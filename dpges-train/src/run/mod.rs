@@ -35,6 +35,7 @@ mod error;
 pub mod fixtures;
 pub mod folder;
 pub(crate) mod hash;
+pub mod jobs;
 #[cfg(test)]
 mod masked_tests;
 pub mod metrics_log;

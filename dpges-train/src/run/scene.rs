@@ -140,7 +140,7 @@ impl Scene {
     /// decisions: 0 if it kept none, or if the dataset is another one, `data`.
     fn validation_every(&self, data: Option<&Path>, views: usize) -> usize {
         let file = self.run_config().filter(|_| data.is_none());
-        let config = file.and_then(|file| Config::of_run(&file).ok());
+        let config = file.and_then(|file| Config::resolve(None, Some(&file), &[]).ok());
         config.map_or(0, |config| config.validation_every(views))
     }
 

@@ -19,8 +19,8 @@ use crate::dataset::Dataset;
 use crate::device::place::Place;
 use crate::optimizer::Parameter;
 use crate::stage::{
-    self, BeforeStep, Context, Parameters, PendingStep, Settled, Stage, StageCheckpoint, StepReport, Surroundings,
-    TrainError, Trained, begin_step,
+    self, Context, Parameters, PendingStep, Settled, Stage, StageCheckpoint, StepReport, Surroundings, TrainError,
+    Trained, begin_step,
 };
 use crate::views::corrections::ViewCorrections;
 use crate::views::exposure::state as exposures;
@@ -36,10 +36,8 @@ pub struct Trainer {
     trained: Trained,
     /// Wants to be told of every evaluation of the validation views, and then ends the run with `train.stop = "validation"`.
     pub(super) validation: Validation,
-    /// A GPU works on this step while the host prepares the next. With where the run stood before it.
-    pending: Option<(PendingStep, BeforeStep)>,
-    /// Completed steps after which the scene was refined last. If the step that followed was undone, that is not done again.
-    refined_after: Option<usize>,
+    /// A GPU works on this step while the host prepares the next.
+    pending: Option<PendingStep>,
 }
 
 impl Trainer {
@@ -60,7 +58,7 @@ impl Trainer {
         let mut trained = Trained { environment: context.start_of_environment()?, ..Trained::default() };
         let stage = stage::begin(plan[0], &mut trained, &mut context)?;
         let validation = Validation::default();
-        Ok(Self { context, plan, at: 0, stage, trained, validation, pending: None, refined_after: None })
+        Ok(Self { context, plan, at: 0, stage, trained, validation, pending: None })
     }
 
     /// Whether there is all that the plan of a run needs, which [`new`](Self::new) asks first. It takes no time: a series of runs
@@ -76,7 +74,7 @@ impl Trainer {
     pub fn resume(checkpoint: Checkpoint, dataset: Arc<Dataset>, place: impl Into<Place>) -> Result<Self, TrainError> {
         let place = place.into();
         let Checkpoint { state, mut attributes, mut columns, max_pixels } = checkpoint;
-        let RunState { config, info, completed_steps, refined, stage: at, validation, growth, .. } = state;
+        let RunState { config, info, completed_steps, stage: at, validation, growth, .. } = state;
         let RunState { rng, remaining_views, view_names, .. } = state;
         if view_names != names_of_views(&dataset) {
             let (before, now) = (view_names.len(), dataset.train.len());
@@ -97,8 +95,7 @@ impl Trainer {
         context.place_cameras();
         let of_stage = StageCheckpoint { info, growth, attributes, columns, max_pixels };
         let (stage, trained) = stage::resume(current, of_stage, &context)?;
-        let refined_after = refined.then_some(completed_steps);
-        Ok(Self { context, plan, at, stage, trained, validation, pending: None, refined_after })
+        Ok(Self { context, plan, at, stage, trained, validation, pending: None })
     }
 
     /// All that [`resume`](Self::resume) needs to go on to the same result; of several ranks the part of this one, see
@@ -117,7 +114,6 @@ impl Trainer {
             config: context.config.clone(),
             info,
             completed_steps: context.completed_steps,
-            refined: self.refined_after == Some(context.completed_steps),
             stage: self.at,
             validation: self.validation,
             growth,
@@ -254,9 +250,8 @@ impl Trainer {
     /// step before, unless [`settle`](Self::settle) has returned it already.
     ///
     /// # Errors
-    /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite: all that this step and a later
-    /// one have changed is taken back, but not the refinement before it. [`TrainError::Device`] if the device failed. Those
-    /// of [`new`](Self::new) where a stage begins.
+    /// [`TrainError::Step`] or [`TrainError::Loss`] if the loss or a gradient was not finite, [`TrainError::Device`] if the device
+    /// failed; then only an earlier checkpoint can go on. Those of [`new`](Self::new) where a stage begins.
     pub fn step(&mut self) -> Result<Option<StepReport>, TrainError> {
         let mut known = None;
         self.context.refine_poses();
@@ -266,29 +261,19 @@ impl Trainer {
         }
         let completed = self.context.completed_in(self.stage());
         let mut events = Vec::new();
-        let refined_after = Some(self.context.completed_steps);
-        if self.stage.is_due(completed) && self.refined_after != refined_after {
+        if self.stage.is_due(completed) {
             known = self.settle()?.or(known);
             events = self.stage.refine(completed, &mut self.context)?;
-            self.refined_after = refined_after;
         }
-        let mut before = self.context.before_step();
         let views = self.context.next_views(&*self.stage);
         let after = (self.context.completed_steps + views.of_ranks.len()).min(self.stage().end());
         let report = StepReport::begin(after, self.stage().kind, views.own, events);
         let begun = begin_step(&mut *self.stage, &mut self.context, report, views);
         known = self.settle()?.or(known);
-        before.poses = self.context.poses.clone();
-        let begun = match begun {
-            Ok(begun) => begun,
-            Err(error) => {
-                self.context.go_back(before);
-                let ranks = &self.context.ranks;
-                let of_rank = |error| TrainError::OnRank { rank: ranks.rank(), source: Box::new(error) };
-                return Err(if ranks.is_alone() { error } else { of_rank(error) });
-            }
-        };
-        self.pending = Some((begun.learn(&mut *self.stage, &mut self.context)?, before));
+        let ranks = &self.context.ranks;
+        let of_rank = |error| TrainError::OnRank { rank: ranks.rank(), source: Box::new(error) };
+        let begun = begun.map_err(|error| if ranks.is_alone() { error } else { of_rank(error) })?;
+        self.pending = Some(begun.learn(&mut *self.stage, &mut self.context)?);
         self.context.completed_steps = after;
         if is_gpu(&self.context.device) { Ok(known) } else { self.settle() }
     }
@@ -296,16 +281,11 @@ impl Trainer {
     /// Waits for the step that the device is working on. Returns its report, if there is one.
     ///
     /// # Errors
-    /// [`TrainError::Step`] or [`TrainError::Loss`] if its loss or a gradient was not finite, and the step is taken back;
-    /// [`TrainError::Device`] if the device failed.
+    /// [`TrainError::Step`] or [`TrainError::Loss`] if its loss or a gradient was not finite, [`TrainError::Device`] if the
+    /// device failed.
     pub fn settle(&mut self) -> Result<Option<StepReport>, TrainError> {
-        let Some((pending, before)) = self.pending.take() else { return Ok(None) };
-        let settled = pending.settle();
-        if let Err(TrainError::Step { .. } | TrainError::Loss { .. }) = settled {
-            self.stage.undo();
-            self.context.go_back(before);
-        }
-        let Settled { report, pose_gradients } = settled?;
+        let Some(pending) = self.pending.take() else { return Ok(None) };
+        let Settled { report, pose_gradients } = pending.settle()?;
         for (view, gradient) in pose_gradients {
             self.context.poses.keep(report.step, view, gradient);
         }

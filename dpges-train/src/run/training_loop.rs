@@ -29,8 +29,7 @@ impl Run {
     ///
     /// # Errors
     /// [`RunError::Stopped`] if the observer has asked for it, [`RunError::Train`] if a step or the beginning of a stage
-    /// failed, others if a file cannot be written or a view cannot be rendered. A run in a folder whose step was not
-    /// taken because something was not finite has saved the state before that step.
+    /// failed, others if a file cannot be written or a view cannot be rendered. A folder then has the last checkpoint.
     pub fn train(&mut self, observer: &mut dyn Observer) -> Result<Outcome, RunError> {
         self.started = Instant::now();
         let result = self.train_to_the_end(observer);
@@ -92,16 +91,7 @@ impl Run {
     /// begun.
     fn work(&mut self, work: Work, observer: &mut dyn Observer) -> Result<(), RunError> {
         let start = Instant::now();
-        let known = match work(&mut self.trainer) {
-            Ok(known) => known,
-            Err(error) => {
-                // a step that was not taken has changed nothing: the state before it is worth saving
-                if matches!(error, TrainError::Step { .. } | TrainError::Loss { .. }) {
-                    self.save(observer)?;
-                }
-                return Err(error.into());
-            }
-        };
+        let known = work(&mut self.trainer)?;
         self.check_device(observer)?;
         let Some(report) = known else { return Ok(()) };
         observer.step(&report, start.elapsed().as_secs_f64());

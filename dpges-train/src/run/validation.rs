@@ -10,7 +10,6 @@ pub struct Validation {
     since: usize,
     stopped: bool,
     /// PSNR of the scene that the last stage began with, dB; `None` without validation views or an earlier stage.
-    #[serde(default)]
     pub(super) before_last_stage: Option<f64>,
 }
 

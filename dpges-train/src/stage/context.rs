@@ -44,22 +44,7 @@ pub struct Context {
     pub budget: usize,
 }
 
-/// Where a run stood before the view of a step was drawn.
-#[derive(Clone, Debug)]
-pub struct BeforeStep {
-    rng: ChaCha8Rng,
-    remaining_views: Vec<u32>,
-    completed_steps: usize,
-    /// Once the gradient of the step before is known.
-    pub poses: PoseState,
-}
-
 impl Context {
-    pub fn before_step(&self) -> BeforeStep {
-        let (rng, remaining_views) = (self.rng.clone(), self.remaining_views.clone());
-        BeforeStep { rng, remaining_views, completed_steps: self.completed_steps, poses: self.poses.clone() }
-    }
-
     /// The context of a run of `config` on `dataset` before its first step, without what its stages learn beside the scene.
     pub fn new(config: Config, dataset: Arc<Dataset>, place: Place) -> Self {
         let Place { device, ranks } = place;
@@ -81,14 +66,6 @@ impl Context {
             surroundings: None,
             budget,
         }
-    }
-
-    /// Goes back to where the run stood: what came since is not part of it.
-    pub fn go_back(&mut self, before: BeforeStep) {
-        let BeforeStep { rng, remaining_views, completed_steps, poses } = before;
-        (self.rng, self.remaining_views, self.completed_steps) = (rng, remaining_views, completed_steps);
-        self.poses = poses;
-        self.place_cameras();
     }
 
     /// Share of the whole run that is done.

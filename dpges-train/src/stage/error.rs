@@ -12,10 +12,10 @@ pub enum TrainError {
     /// The stages, or what decides on them, lack something.
     #[error("{0}")]
     Plan(String),
-    /// A render or a gradient was not finite. The step changed nothing.
+    /// A render or a gradient was not finite. No parameter has learnt from it.
     #[error("step {step}, view `{view}`: {source}; the step was not taken")]
     Step { step: usize, view: String, source: dpges_core::Error },
-    /// The loss was not finite. The step changed nothing.
+    /// The loss was not finite. No parameter has learnt from it.
     #[error("step {step}, view `{view}`: the loss is {loss}; the step was not taken")]
     Loss { step: usize, view: String, loss: f64 },
     /// The device failed at or before this step: what it holds is worth nothing.

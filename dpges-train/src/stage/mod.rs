@@ -32,7 +32,7 @@ use blended::BlendedStage;
 #[cfg(test)]
 pub use blended::ScreenGradients;
 pub use checkpoint::{StageCheckpoint, is_dealt};
-pub use context::{BeforeStep, Context, budget};
+pub use context::{Context, budget};
 pub use environment::EnvironmentState;
 pub use error::TrainError;
 use joint::{JointStage, Statistics};
@@ -93,10 +93,6 @@ pub trait Stage: Send {
     fn after_step(&mut self, _completed: usize, _context: &mut Context) -> Result<(), TrainError> {
         Ok(())
     }
-
-    /// Takes back what [`observe`](Self::observe) and [`after_step`](Self::after_step) have changed in the last step, before
-    /// which nothing was refined since: it was not finite, and parameters have not learnt from it.
-    fn undo(&mut self);
 
     /// All that [`resume`] needs to go on with this stage, on the host: of Gaussians that are dealt out, the own ones.
     fn checkpoint(&self) -> StageCheckpoint;

@@ -6,7 +6,6 @@ use dpges_core::backend::readback::{Readback, begin_readback};
 use dpges_core::counters::transfers::{download, wait};
 use dpges_core::losses::Losses;
 use dpges_core::ops::finite::{FiniteChecks, FiniteResults, Gate};
-use dpges_core::ops::join::join;
 use dpges_core::ranks::Ranks;
 
 use super::{StepReport, StepViews, TrainError};
@@ -75,14 +74,14 @@ impl PendingStep {
         let mut numbers: Vec<Tensor<1>> = numbers.into();
         numbers.push(gate.gate.bad.clone());
         numbers.extend(of_poses.map(|gradient| gradient.reshape([-1])));
-        Self { report, view_name, views, checks: gate.checks.clone(), numbers: begin_readback(join(&numbers)) }
+        Self { report, view_name, views, checks: gate.checks.clone(), numbers: begin_readback(numbers) }
     }
 
     /// Waits for the numbers.
     ///
     /// # Errors
     /// [`TrainError::Loss`] or [`TrainError::Step`] if the loss or a gradient was not finite: its gate has held the parameters
-    /// back, and [`Stage::undo`](super::Stage::undo) takes the rest back. [`TrainError::Device`] if the device failed.
+    /// back. [`TrainError::Device`] if the device failed.
     pub fn settle(self) -> Result<Settled, TrainError> {
         let has_arrived = self.numbers.has_arrived();
         let numbers = if has_arrived { self.numbers.arrived() } else { wait(|| self.numbers.arrived()) };

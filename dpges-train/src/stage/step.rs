@@ -174,8 +174,7 @@ pub fn begin_step(
 }
 
 impl BegunStep {
-    /// Hands the other half to the device, in which parameters learn, and waits for nothing. The step before has to be known
-    /// to be finite: what this one changes could not be told from what that one changed.
+    /// Hands the other half to the device, in which parameters learn, and waits for nothing.
     pub fn learn(self, stage: &mut dyn Stage, context: &mut Context) -> Result<PendingStep, TrainError> {
         let Self { report, view_name, views, cameras, completed, pass } = self;
         let Pass { losses, of_parameters, of_exposure, of_pose, observed, gate } = pass;

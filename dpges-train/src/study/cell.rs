@@ -7,19 +7,11 @@ use burn::tensor::Device;
 
 use super::variant::Variant;
 use super::{Result, StudyError};
-use crate::config::{Config, differences};
+use crate::config::Config;
 use crate::dataset::Dataset;
 use crate::run::Trainer;
 use crate::run::folder::RunFolder;
-
-/// How far a run has come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
-    New,
-    /// There is a checkpoint.
-    Begun,
-    Finished,
-}
+use crate::run::jobs::{OtherRun, State};
 
 /// The run of a variant with one seed.
 #[derive(Clone, Debug)]
@@ -102,16 +94,12 @@ fn state(folder: &RunFolder, config: &Config, dataset: &str) -> Result<State> {
     if folder.check_unused().is_ok() {
         return Ok(State::New);
     }
-    let other = |reason: String| StudyError::OtherRun { path: folder.path().to_owned(), reason };
+    let other = |reason: String| OtherRun { path: folder.path().to_owned(), reason };
     let trained_on = folder.read_origin().map_err(|error| other(error.to_string()))?.dataset;
     if trained_on != dataset {
-        return Err(other(format!("it was trained on {trained_on}, not on {dataset}")));
+        return Err(other(format!("it was trained on {trained_on}, not on {dataset}")).into());
     }
-    let found = Config::resolve(None, Some(&folder.config()), &[]).map_err(|error| other(error.to_string()))?;
-    let differences = differences(&found, config);
-    if !differences.is_empty() {
-        return Err(other(differences.join(", ")));
-    }
+    OtherRun::check(folder, config)?;
     Ok(match (folder.evaluation().is_file(), folder.has_checkpoint()) {
         (true, _) => State::Finished,
         (false, true) => State::Begun,

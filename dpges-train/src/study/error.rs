@@ -5,13 +5,14 @@ use std::path::PathBuf;
 use super::benchmark::layout::LayoutError;
 use crate::config::ConfigError;
 use crate::metrics::lpips::choice::ChoiceError;
+use crate::run::jobs::OtherRun;
 use crate::run::{RunError, TrainError};
 
 /// Why a study cannot begin, go on, or be reported.
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
-    #[error("{} holds another run: {reason}; choose another --out, or remove that folder", .path.display())]
-    OtherRun { path: PathBuf, reason: String },
+    #[error(transparent)]
+    OtherRun(#[from] OtherRun),
     #[error("{} holds other measurements: {reason}; choose another --out, or remove that file", .path.display())]
     OtherRows { path: PathBuf, reason: String },
     #[error("{} cannot be read: {reason}; remove it to finish its run again", .path.display())]

@@ -17,10 +17,10 @@ pub struct Row {
     /// Of the run that made it; `None` for a scene that was there.
     pub seed: Option<u64>,
     /// Of several scenes, the one that was trained: `DATASET/SCENE`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
     /// The device that it was trained on, if rows may differ in that.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
     /// The changes, as `name=value`.
     pub settings: Vec<String>,

@@ -5,9 +5,9 @@ use std::path::Path;
 use dpges_train::metrics::lpips::Network;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
-use serde_json::{Value, json};
+use serde_json::Value;
 
-use super::{assert_contains, bytes, data_folder, fails, folder, is_equal, json, ok, png_names, said, trained};
+use super::{assert_contains, data_folder, fails, folder, json, ok, png_names, said, trained};
 
 /// A file for `--lpips` with arbitrary weights.
 pub fn write_network(path: &Path, network: Network) {
@@ -59,7 +59,7 @@ fn lpips_is_measured_with_a_network_and_worst_views_are_shown() {
     trained(at, "run");
     write_network(&at.join("alex.safetensors"), Network::Alex);
     let eval = ["eval", "run", "--device=cpu"];
-    assert_contains(&said(at, &eval), &["LPIPS", "dpges lpips install", "SSIMULACRA2"]);
+    assert_contains(&said(at, &eval), &["LPIPS", "tools/lpips_weights.py", "SSIMULACRA2"]);
 
     let more = ["--lpips=alex.safetensors", "--worst=worst", "--json=result.json"];
     let table = ok(at, &[&eval[..], &more].concat());
@@ -85,72 +85,48 @@ fn lpips_is_measured_with_a_network_and_worst_views_are_shown() {
 }
 
 #[test]
-fn networks_are_installed_and_found_without_being_named() {
-    fn install<'a>(from: &'a str, more: &[&'a str]) -> Vec<&'a str> {
-        [&["lpips", "install", from], more].concat()
-    }
-
+fn networks_in_the_data_folder_are_found_without_being_named() {
     let at = &folder();
-    let installed = |name: &str| data_folder(at).join("dpges/lpips").join(name);
+    let networks = data_folder(at).join("dpges/lpips");
+    std::fs::create_dir_all(&networks).unwrap();
     trained(at, "run");
-    write_network(&at.join("made.safetensors"), Network::Alex);
-    let said = ok(at, &["lpips", "install", "--from=made.safetensors"]);
-    assert!(said.contains("alex") && said.contains("alex.safetensors"), "{said}");
-    assert!(is_equal(at.join("made.safetensors"), installed("alex.safetensors")));
+    write_network(&networks.join("alex.safetensors"), Network::Alex);
     let eval = |more: &[&str]| ok(at, &[&["eval", "run", "--device=cpu", "--json=result.json"], more].concat());
     let fails_to_eval = |more: &str| fails(at, 1, &["eval", "run", "--device=cpu", more]);
     assert!(eval(&[]).contains("not measured"), "AlexNet alone is measured when it is asked for");
     assert!(eval(&["--lpips=alex"]).contains("LPIPS (Alex)"));
     let absent = fails_to_eval("--lpips=vgg");
-    assert!(absent.contains("vgg.safetensors") && absent.contains("`dpges lpips install vgg`"), "{absent}");
+    assert_contains(&absent, &["there is no", "dpges/lpips/vgg.safetensors", "tools/lpips_weights.py vgg"]);
 
-    std::fs::create_dir(at.join("made")).unwrap();
-    write_network(&at.join("made/vgg.safetensors"), Network::Vgg);
-    let other = fails(at, 1, &install("--from=made", &["alex"]));
-    assert!(other.contains("made does not hold network `alex`"), "{other}");
-    ok(at, &install("--from=made", &["vgg"]));
+    write_network(&networks.join("vgg.safetensors"), Network::Vgg);
     let found = eval(&[]);
     assert!(found.contains("LPIPS (VGG)"), "{found}");
     assert!(!found.contains("LPIPS (Alex)") && !found.contains("not measured"), "{found}");
     assert!(json(at.join("result.json"))["lpips_vgg"].as_f64().unwrap() > 0.0);
     let none = eval(&["--lpips=none"]);
     assert!(!none.contains("LPIPS"), "{none}");
-    let named = eval(&["--lpips=made.safetensors"]);
-    assert!(named.contains("LPIPS (Alex)") && !named.contains("LPIPS (VGG)"), "{named}");
     assert!(fails(at, 2, &["eval", "run", "--device=cpu", "--lpips=none", "--lpips=alex"]).contains("`none`"));
-
-    // what cannot be installed leaves what is there
-    let before = bytes(installed("vgg.safetensors"));
-    let python = fails(at, 1, &install("--from=nowhere", &["--python=no-such-python"]));
-    assert!(python.contains("no-such-python") && python.contains("--from"), "{python}");
-    std::fs::write(at.join("broken.safetensors"), "no tensors").unwrap();
-    assert!(fails(at, 1, &install("--from=broken.safetensors", &[])).contains("broken.safetensors"));
-    assert!(bytes(installed("vgg.safetensors")) == before);
-    let names = std::fs::read_dir(data_folder(at).join("dpges/lpips")).unwrap();
-    assert_eq!(names.count(), 2);
-    std::fs::write(installed("vgg.safetensors"), "no tensors").unwrap();
+    std::fs::write(networks.join("vgg.safetensors"), "no tensors").unwrap();
     let broken = fails_to_eval("--fit-exposure");
-    assert!(broken.contains("dpges/lpips/vgg.safetensors") && broken.contains("`dpges lpips install`"), "{broken}");
+    assert_contains(&broken, &["dpges/lpips/vgg.safetensors", "tools/lpips_weights.py"]);
 }
 
 #[test]
-fn bench_step_measures_with_and_without_files() {
+fn bench_step_measures_made_and_trained_scenes() {
     let at = &folder();
     let small = ["--device=cpu", "--size=48x32", "--rounds=2", "--warm-up=0"];
-    let files = ["--json=step.json", "--save-scene=a.safetensors"];
-    let made = ["bench", "step", "realistic", "--surfels=50", "--gaussians=200"];
-    let table = ok(at, &[&made[..], &files, &small].concat());
-    assert!(table.starts_with("joint step, 50 surfels, 200 Gaussians, 1 view of 48x32 px, on burn-ndarray"), "{table}");
+    let made = ["bench", "step", "realistic", "--surfels=50", "--gaussians=200", "--json=step.json"];
+    let table = ok(at, &[&made[..], &small].concat());
+    assert_contains(&table, &["burn-ndarray", "joint, 50 surfels, 200 Gaussians, 1 x 48x32 px", "median"]);
     let found = json(at.join("step.json"));
-    assert_eq!((&found["hardware"], &found["gpu"]), (&"cpu".into(), &Value::Null));
-    assert_eq!(found["not_measured"].as_array().unwrap().len(), 1);
-    assert!(found["time"]["steps"] == 2 && found["time"]["median_ms"].as_f64().unwrap() > 0.0, "{found}");
-    assert!(found["lists"]["gaussians"]["inside_pairs"].as_u64().unwrap() > 0, "{found}");
-    assert_eq!((&found["camera"]["cx"], &found["camera"]["cy"]), (&json!(24.0), &json!(16.0)));
+    assert_eq!((&found["emulated"], &found["gpu"]), (&false.into(), &Value::Null));
+    assert!(found["steps"] == 2 && found["median_ms"].as_f64().unwrap() > 0.0, "{found}");
+    assert!(found["transfers"]["uploads"].as_u64().unwrap() > 0, "{found}");
 
-    let again = ["bench", "step", "a.safetensors", "--data=builtin", "--cameras=2", "--stage=blended"];
+    trained(at, "run");
+    let again = ["bench", "step", "run", "--cameras=2", "--stage=blended"];
     let table = ok(at, &[&again[..], &small].concat());
-    assert!(table.starts_with("mcmc step, 0 surfels, 200 Gaussians, 2 views of 48x32 px"), "{table}");
+    assert!(table.contains("mcmc, 0 surfels") && table.contains("2 x 48x32 px"), "{table}");
 
     let without = ["bench", "step", "realistic", "--surfels=0", "--gaussians=0", "--device=cpu"];
     assert!(fails(at, 2, &without).contains("nothing to train"));

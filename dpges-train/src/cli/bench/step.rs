@@ -14,8 +14,8 @@ use dpges_train::dataset::View;
 use dpges_train::dataset::source::{BUILTIN, Source};
 use dpges_train::run::Trainer;
 use dpges_train::run::folder::write_json;
-use dpges_train::run::step_cost::report::Report;
-use dpges_train::run::step_cost::{Rounds, StepStage, Steps, measure};
+use dpges_train::run::step_cost::{Rounds, StepCost, StepStage, Steps, measure};
+use serde::Serialize;
 
 use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_choice::{DeviceArgs, watched};
@@ -48,10 +48,6 @@ pub struct BenchStepArgs {
     /// joint (surfels and Gaussians) or blended (the Gaussians alone) instead of what the scene was made for
     #[arg(long, value_name = "STAGE")]
     stage: Option<StepStage>,
-    /// Measure one of N ranks and say what it sends: in the joint stage it has all surfels and one in N Gaussians, in others all
-    /// Gaussians and one of the N views of a step
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
-    ranks: u32,
     /// Steps that are timed
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rounds: u32,
@@ -63,36 +59,41 @@ pub struct BenchStepArgs {
     cameras: u32,
     #[command(flatten)]
     device: DeviceArgs,
-    /// Write the scene that is measured to a file
-    #[arg(long, value_name = "FILE")]
-    save_scene: Option<PathBuf>,
     /// Write the figures as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+}
+
+/// The content of the file of `--json`.
+#[derive(Serialize)]
+struct Report {
+    scene: String,
+    /// As --device takes it.
+    device: String,
+    adapter: String,
+    /// Whether the adapter emulates a GPU on the CPU: only its counts are those of a GPU.
+    emulated: bool,
+    #[serde(flatten)]
+    cost: StepCost,
 }
 
 pub fn run(args: &BenchStepArgs) -> Result<()> {
     let device = args.device.select()?;
     watched(device, || {
         let opened = device.open()?;
-        let (mut scene, cameras) = args.scene(&opened)?;
-        if let Some(file) = &args.save_scene {
-            scene.save(file)?;
-        }
+        let (scene, cameras) = args.scene(&opened)?;
         let stage = args.stage.unwrap_or_else(|| StepStage::of(scene.info.rendering));
-        let ranks = args.ranks as usize;
-        if stage == StepStage::Joint {
-            scene.gaussians = scene.gaussians.select(&(0..scene.gaussians.len()).step_by(ranks).collect::<Vec<_>>());
-        }
         let mut steps = Steps::new(&scene, &cameras, stage, &opened)?;
         let rounds = Rounds { warm_up: args.warm_up as usize, counted: args.rounds as usize };
-        let (cost, joined) = (measure(&mut steps, rounds)?, steps.joined_numbers());
-        let report = Report::new(args.scene.display().to_string(), device, &cameras[0], cost)?;
-        let report = report.of_ranks(ranks, joined);
+        let cost = measure(&mut steps, rounds)?;
+        let (scene, adapter) = (args.scene.display().to_string(), device.describe()?);
+        let report = Report { scene, device: device.to_string(), adapter, emulated: device.is_software(), cost };
         if let Some(file) = &args.json {
             write_json(file, &report)?;
         }
-        print(&(report.title() + &table(&report.rows()) + &report.kernels()))
+        let note = if report.emulated { ", which emulates a GPU: its times are not those of one" } else { "" };
+        let rows = [vec![("device", format!("{}{note}", report.adapter))], report.cost.rows()].concat();
+        print(&table(&rows))
     })
 }
 
@@ -114,8 +115,6 @@ impl BenchStepArgs {
             return Ok((scene, self.cameras(&dataset.train)));
         }
         let mut scene = Scene::load(&self.scene)?;
-        // the report has pinhole cameras, so that others can take the same step
-        scene.use_pinholes();
         let (_, views) = self.views.choice().load(&mut scene)?;
         Ok((scene.data, self.cameras(&views)))
     }

@@ -60,12 +60,13 @@ impl Colmap {
     pub fn features(
         &self,
         workspace: &Workspace,
+        database: &Path,
         options: &Options,
         one_camera: bool,
         masks: Option<&Path>,
         gpu: bool,
     ) -> Command {
-        let mut command = begun(&self.path, "feature_extractor", workspace);
+        let mut command = begun(&self.path, "feature_extractor", database);
         command.arg("--image_path").arg(&workspace.images);
         command.args(["--ImageReader.camera_model", &name_of(options.camera)]);
         if one_camera {
@@ -79,7 +80,7 @@ impl Colmap {
 
     pub fn matches(
         &self,
-        workspace: &Workspace,
+        database: &Path,
         options: &Options,
         matching: SfmMatching,
         photographs: usize,
@@ -87,7 +88,7 @@ impl Colmap {
     ) -> Command {
         let is_sequential = matching == SfmMatching::Sequential;
         let name = if is_sequential { "sequential_matcher" } else { "exhaustive_matcher" };
-        let mut command = begun(&self.path, name, workspace);
+        let mut command = begun(&self.path, name, database);
         if !is_sequential {
             let block = photographs.div_ceil(BLOCKS).clamp(SMALLEST_BLOCK, LARGEST_BLOCK);
             command.args(["--ExhaustiveMatching.block_size", &block.to_string()]);
@@ -95,9 +96,9 @@ impl Colmap {
         on_device(command, self.matching, options, gpu)
     }
 
-    pub fn mapping(&self, workspace: &Workspace, options: &Options) -> Command {
+    pub fn mapping(&self, workspace: &Workspace, database: &Path, options: &Options) -> Command {
         let (program, name) = &self.mapper;
-        let mut command = begun(program, name, workspace);
+        let mut command = begun(program, name, database);
         command.arg("--image_path").arg(&workspace.images);
         command.arg("--output_path").arg(&workspace.models);
         if let (Some(threads), SfmProgram::Colmap) = (options.threads, options.program) {
@@ -107,9 +108,9 @@ impl Colmap {
     }
 }
 
-fn begun(program: &Path, name: &str, workspace: &Workspace) -> Command {
+fn begun(program: &Path, name: &str, database: &Path) -> Command {
     let mut command = Command::new(program);
-    command.arg(name).arg("--database_path").arg(&workspace.database);
+    command.arg(name).arg("--database_path").arg(database);
     command
 }
 
@@ -164,6 +165,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let workspace = Workspace::open(&folder.path().join("set")).unwrap();
         let at = folder.path().join("set").display().to_string();
+        let database = &workspace.work("database.db");
         let colmap = |extraction: &'static str, matching: &'static str, mapper: &'static str| {
             let path = PathBuf::from("/bin/colmap");
             Colmap { mapper: (path.clone(), mapper), path, has_cuda: true, extraction, matching }
@@ -177,17 +179,17 @@ mod tests {
         let old = colmap("SiftExtraction", "SiftMatching", "mapper");
         let options = Options { threads: Some(3), ..Options::default() };
         is(
-            old.features(&workspace, &options, true, None, false),
+            old.features(&workspace, database, &options, true, None, false),
             "feature_extractor --database_path AT/sfm/database.db --image_path AT/images --ImageReader.camera_model OPENCV \
              --ImageReader.single_camera 1 --SiftExtraction.use_gpu 0 --SiftExtraction.num_threads 3",
         );
         is(
-            old.matches(&workspace, &options, SfmMatching::Exhaustive, 150, false),
+            old.matches(database, &options, SfmMatching::Exhaustive, 150, false),
             "exhaustive_matcher --database_path AT/sfm/database.db --ExhaustiveMatching.block_size 15 \
              --SiftMatching.use_gpu 0 --SiftMatching.num_threads 3",
         );
         is(
-            old.mapping(&workspace, &options),
+            old.mapping(&workspace, database, &options),
             "mapper --database_path AT/sfm/database.db --image_path AT/images --output_path AT/sfm/models \
              --Mapper.num_threads 3",
         );
@@ -196,16 +198,16 @@ mod tests {
         let (program, camera) = (SfmProgram::Glomap, SfmCamera::SimpleRadial);
         let options = Options { program, camera, threads: None, ..Options::default() };
         is(
-            new.features(&workspace, &options, false, Some(&workspace.work("masks")), true),
+            new.features(&workspace, database, &options, false, Some(&workspace.work("masks")), true),
             "feature_extractor --database_path AT/sfm/database.db --image_path AT/images --ImageReader.camera_model \
              SIMPLE_RADIAL --ImageReader.mask_path AT/sfm/masks --FeatureExtraction.use_gpu 1",
         );
         is(
-            new.matches(&workspace, &options, SfmMatching::Sequential, 400, true),
+            new.matches(database, &options, SfmMatching::Sequential, 400, true),
             "sequential_matcher --database_path AT/sfm/database.db --FeatureMatching.use_gpu 1",
         );
         is(
-            new.mapping(&workspace, &Options { threads: Some(3), ..options }),
+            new.mapping(&workspace, database, &Options { threads: Some(3), ..options }),
             "global_mapper --database_path AT/sfm/database.db --image_path AT/images --output_path AT/sfm/models",
         );
     }

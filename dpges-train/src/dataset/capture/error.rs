@@ -23,20 +23,16 @@ pub enum SfmError {
     Image { path: PathBuf, source: image::ImageError },
     #[error("{dataset} holds other files ({found}); name another folder")]
     Foreign { dataset: PathBuf, found: String },
-    #[error("another process is at work in {dataset}; wait for it")]
-    Busy { dataset: PathBuf },
     #[error(
-        "{dataset} was made before {what} changed; name another folder, or replace it (`dpges sfm --overwrite`), after which \
-         scenes that were trained on it no longer fit it"
+        "{dataset} was made of other photographs or masks; name another folder, or replace it (`dpges sfm --overwrite`), after \
+         which scenes that were trained on it no longer fit it"
     )]
-    Changed { dataset: PathBuf, what: &'static str },
-    #[error("{path} does not say which steps are done: {reason}; remove the folder that it is in")]
-    Record { path: PathBuf, reason: String },
+    Changed { dataset: PathBuf },
     #[error("{program} cannot be started: {source}; check its installation")]
     Start { program: PathBuf, source: std::io::Error },
     #[error(
         "{step}: {program} failed ({status}); {log} holds what it said, the last lines of it are\n{tail}\nThe same command \
-         goes on with this step"
+         goes on from there, `dpges sfm --overwrite` begins anew"
     )]
     Failed { step: Step, program: PathBuf, status: String, log: PathBuf, tail: String },
     #[error(

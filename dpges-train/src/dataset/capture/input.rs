@@ -3,10 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use serde_json::{Value, json};
-
 use super::FEWEST;
-use super::error::{SfmError, io};
+use super::error::SfmError;
 use crate::dataset;
 use crate::dataset::mask_called_like;
 use crate::dataset::names::{in_folder, list};
@@ -99,37 +97,11 @@ impl Input {
             _ => Ok(()),
         }
     }
-
-    /// Names and sizes of the files and of their masks, which tell whether others have taken their places, and how many of
-    /// `video_frames` a video gives.
-    ///
-    /// # Errors
-    /// [`SfmError::File`].
-    pub(super) fn fingerprint(&self, video_frames: usize) -> Result<Value, SfmError> {
-        let mut key = match self {
-            Self::Photographs { folder, names, .. } => {
-                json!({ "files": sizes(names.iter().map(|name| folder.join(name)))?, "video_frames": null })
-            }
-            Self::Video { path } => json!({ "files": sizes([path.clone()])?, "video_frames": video_frames }),
-        };
-        if !self.masks().is_empty() {
-            key["masks"] = sizes(self.masks().iter().map(|(_, mask)| mask.clone()))?;
-        }
-        Ok(key)
-    }
-}
-
-fn sizes(files: impl IntoIterator<Item = PathBuf>) -> Result<Value, SfmError> {
-    let of = |path: PathBuf| -> Result<Value, SfmError> {
-        let bytes = path.metadata().map_err(io("cannot read", &path))?.len();
-        Ok(json!([path.file_name().unwrap_or_default().to_string_lossy(), bytes]))
-    };
-    files.into_iter().map(of).collect::<Result<Vec<Value>, _>>().map(Value::from)
 }
 
 /// Whether the folder is a dataset that [`reconstruct`](super::reconstruct) has begun.
 pub fn is_begun(path: &Path) -> bool {
-    path.join("sfm/steps.json").is_file()
+    path.join("sfm/lock").is_file()
 }
 
 pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
@@ -206,7 +178,6 @@ mod tests {
         let found = Input::find(folder.path()).unwrap();
         let expected = [("a.jpg", masks[0]), ("b.jpg", masks[1])];
         assert_eq!(found.masks(), expected.map(|(name, mask)| (name.to_owned(), folder.path().join(mask))));
-        assert_eq!(found.fingerprint(9).unwrap()["masks"], json!([["a.jpg.png", 0], ["b.png", 0]]));
     }
 
     #[test]
@@ -224,7 +195,5 @@ mod tests {
         std::fs::write(&path, "12345").unwrap();
         let found = Input::find(&path).unwrap();
         assert_eq!((found.path(), found.name().unwrap().as_str()), (path.as_path(), "walk 1"));
-        let key = json!({ "files": [["walk 1.MP4", 5]], "video_frames": 9 });
-        assert_eq!(found.fingerprint(9).unwrap(), key);
     }
 }

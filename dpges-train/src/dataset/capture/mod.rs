@@ -3,14 +3,13 @@
 //! | step | program | result, in the folder of the dataset |
 //! |---|---|---|
 //! | [`Step::Pictures`] | ffmpeg, for a video | `images/`, `masks/` |
-//! | [`Step::Features`] | COLMAP | `sfm/database.db` |
-//! | [`Step::Matches`] | COLMAP | `sfm/database.db` |
-//! | [`Step::Mapping`] | COLMAP or GLOMAP | `sfm/models/0`, `1`, … |
-//! | [`Step::Model`] | | `sparse/0`, the model with the most photographs |
+//! | [`Step::Features`] | COLMAP | `sfm/OPTIONS.db` |
+//! | [`Step::Matches`] | COLMAP | `sfm/OPTIONS.db` |
+//! | [`Step::Mapping`] | COLMAP or GLOMAP | `sfm/models/0`, `1`, …; `sparse/0`, that with the most photographs |
 //!
-//! The result is a COLMAP dataset as [`crate::dataset`] reads it, which undistorts the photographs if asked to.
-//! `sfm/steps.json` says which steps are done, with what they depend on: [`reconstruct`] goes on where it was interrupted, and
-//! repeats a step if that has changed. The output of a program is in `sfm/STEP.log`.
+//! The result is a COLMAP dataset as [`crate::dataset`] reads it, which undistorts the photographs if asked to. [`reconstruct`]
+//! goes on where it was interrupted, since COLMAP does not look again for what its database has. The output of a program is in
+//! `sfm/STEP.log`.
 
 mod commands;
 mod error;
@@ -30,8 +29,6 @@ mod workspace;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use serde_json::{Value, json};
-
 pub use error::SfmError;
 pub use input::{Input, is_begun};
 pub use model::Outcome;
@@ -43,8 +40,7 @@ pub use unusable::{Unusable, unusable};
 use crate::dataset::names::list;
 use crate::dataset::strange_masks;
 use commands::Colmap;
-use options::name_of;
-use workspace::Workspace;
+use workspace::{Workspace, is_finished};
 
 /// Up to how many photographs all pairs are compared, unless it is asked for.
 const MOST_FOR_ALL_PAIRS: usize = 200;
@@ -59,7 +55,7 @@ pub struct Request<'a> {
     /// Folder of the dataset. It is made if it does not exist.
     pub dataset: &'a Path,
     pub options: &'a Options,
-    /// Replace a finished dataset where photographs or options have changed.
+    /// Make a finished dataset anew.
     pub overwrite: bool,
     pub programs: &'a Programs,
 }
@@ -74,40 +70,46 @@ pub fn dataset_beside(input: &Input) -> Result<PathBuf, SfmError> {
     Ok(path.with_file_name(format!("{name}_colmap")))
 }
 
-/// Makes a dataset of photographs, or goes on with it, or says what is in it if it is finished.
+/// Makes a dataset of photographs, or goes on with it. One that is finished stays as it is, whatever the options, unless it is to be
+/// overwritten.
 ///
 /// # Errors
-/// [`SfmError`]: a missing program, a program that fails, a finished dataset that another request has made, photographs
-/// that show too little in common.
+/// [`SfmError`]: a missing program, a program that fails, a finished dataset of other photographs, photographs that show too
+/// little in common.
 pub fn reconstruct(request: &Request, observer: &mut dyn Observer) -> Result<Outcome, SfmError> {
-    request.input.check()?;
-    let mut reconstruction = Reconstruction { request, observer, colmap: None };
-    let is_new = !is_begun(request.dataset);
-    if is_new {
-        reconstruction.check_programs(Step::ALL[0])?;
-    }
-    let mut workspace = Workspace::open(request.dataset)?;
-    let Some(first) = reconstruction.first_to_do(&workspace)? else {
-        return model::outcome(&workspace);
+    let &Request { input, dataset, options, programs, overwrite } = request;
+    input.check()?;
+    let find_programs = || {
+        if let Input::Video { .. } = input {
+            programs.ffmpeg()?;
+        }
+        Colmap::find(programs, options.program)
     };
-    if workspace.is_finished() && !request.overwrite {
-        return Err(SfmError::Changed { dataset: request.dataset.to_owned(), what: first.depends_on() });
+    if overwrite || !is_finished(dataset) {
+        // before there is a folder
+        find_programs()?;
     }
-    let first = workspace.with_what_it_needs(first);
-    if !is_new {
-        reconstruction.check_programs(first)?;
+    let workspace = Workspace::open(dataset)?;
+    let is_same = workspace.holds(input)?;
+    if is_finished(dataset) && !overwrite {
+        return if is_same {
+            model::outcome(&workspace, Vec::new())
+        } else {
+            Err(SfmError::Changed { dataset: dataset.to_owned() })
+        };
     }
-    for step in Step::ALL.into_iter().filter(|&step| step >= first) {
-        let key = reconstruction.key(step, &workspace)?;
-        let start = Instant::now();
-        workspace.begin(step, key)?;
-        reconstruction.observer.begin(step);
-        reconstruction.run(step, &workspace)?;
-        let seconds = start.elapsed().as_secs_f64();
-        workspace.end(step, seconds)?;
-        reconstruction.observer.end(step, seconds);
+    if overwrite || !is_same {
+        workspace.forget()?;
     }
-    model::outcome(&workspace)
+    let colmap = find_programs()?;
+    let mut reconstruction = Reconstruction { request, workspace, colmap, observer, seconds: Vec::new() };
+    reconstruction.step(Step::Pictures, Reconstruction::pictures)?;
+    let one_camera = exif::have_one_camera(&reconstruction.workspace.pictures()?)?;
+    for step in [Step::Features, Step::Matches, Step::Mapping] {
+        reconstruction.step(step, |this| this.colmap(step, one_camera))?;
+    }
+    model::take_largest(&reconstruction.workspace)?;
+    model::outcome(&reconstruction.workspace, reconstruction.seconds)
 }
 
 /// [`SfmMatching::Auto`] decided.
@@ -121,65 +123,32 @@ fn matching(asked: SfmMatching, names: &[String]) -> SfmMatching {
 
 struct Reconstruction<'a> {
     request: &'a Request<'a>,
+    workspace: Workspace,
+    colmap: Colmap,
     observer: &'a mut dyn Observer,
-    colmap: Option<Colmap>,
+    /// How long each step took.
+    seconds: Vec<(Step, f64)>,
 }
 
 impl Reconstruction<'_> {
-    /// The first step whose result is not there, or depends on what has changed since.
-    fn first_to_do(&self, workspace: &Workspace) -> Result<Option<Step>, SfmError> {
-        for step in Step::ALL {
-            if !workspace.is_done(step, &self.key(step, workspace)?) {
-                return Ok(Some(step));
-            }
-        }
-        Ok(None)
-    }
-
-    /// The inputs of a step, besides the steps before it.
-    fn key(&self, step: Step, workspace: &Workspace) -> Result<Value, SfmError> {
-        let Request { input, options, .. } = self.request;
-        Ok(match step {
-            Step::Pictures => input.fingerprint(options.video_frames)?,
-            Step::Features => {
-                let one_camera = exif::have_one_camera(&workspace.pictures()?)?;
-                let mut key = json!({ "camera": name_of(options.camera), "one_camera": one_camera });
-                if options.invert_masks && !input.masks().is_empty() {
-                    key["invert_masks"] = true.into();
-                }
-                key
-            }
-            Step::Matches => json!({ "matching": name_of(matching(options.matching, &workspace.picture_names()?)) }),
-            Step::Mapping => json!({ "program": name_of(options.program) }),
-            Step::Model => Value::Null,
-        })
-    }
-
-    /// Whether the programs of `step` and of those after it are there: better now than after an hour.
-    fn check_programs(&mut self, step: Step) -> Result<(), SfmError> {
-        if step == Step::Pictures && matches!(self.request.input, Input::Video { .. }) {
-            self.request.programs.ffmpeg()?;
-        }
-        if step <= Step::Mapping {
-            self.colmap = Some(Colmap::find(self.request.programs, self.request.options.program)?);
-        }
+    fn step(&mut self, step: Step, work: impl FnOnce(&mut Self) -> Result<(), SfmError>) -> Result<(), SfmError> {
+        let start = Instant::now();
+        self.observer.begin(step);
+        work(self)?;
+        let seconds = start.elapsed().as_secs_f64();
+        self.seconds.push((step, seconds));
+        self.observer.end(step, seconds);
         Ok(())
     }
 
-    fn run(&mut self, step: Step, workspace: &Workspace) -> Result<(), SfmError> {
-        match step {
-            Step::Pictures => self.pictures(workspace),
-            Step::Features | Step::Matches | Step::Mapping => self.colmap(step, workspace),
-            Step::Model => model::take_largest(workspace),
-        }
-    }
-
-    fn pictures(&mut self, workspace: &Workspace) -> Result<(), SfmError> {
-        let (path, folder, names, unread, masks) = match self.request.input {
+    fn pictures(&mut self) -> Result<(), SfmError> {
+        let (request, workspace) = (self.request, &self.workspace);
+        let (path, folder, names, unread, masks) = match request.input {
             Input::Photographs { path, folder, names, unread, masks } => (path, folder, names, unread, masks),
+            Input::Video { .. } if workspace.images.is_dir() => return Ok(()),
             Input::Video { path } => {
-                let ffmpeg = self.request.programs.ffmpeg()?;
-                return frames::extract(&ffmpeg, path, self.request.options.video_frames, workspace, self.observer);
+                let ffmpeg = request.programs.ffmpeg()?;
+                return frames::extract(&ffmpeg, path, request.options.video_frames, workspace, self.observer);
             }
         };
         if !unread.is_empty() {
@@ -193,8 +162,7 @@ impl Reconstruction<'_> {
             let kept = workspace.copy_masks(masks)?;
             if !kept.is_empty() {
                 self.observer.warn(&format!(
-                    "{} has masks that were made by hand, which stay as they are, also where the photographs have others: \
-                     {}; remove those that are not wanted",
+                    "{} has other masks than the photographs, which stay as they are: {}; remove those that are not wanted",
                     workspace.masks.display(),
                     list(&kept)
                 ));
@@ -206,8 +174,8 @@ impl Reconstruction<'_> {
     }
 
     /// The folder of the masks as COLMAP reads them; `None` without any.
-    fn masks(&self, workspace: &Workspace) -> Result<Option<PathBuf>, SfmError> {
-        let masks = self.request.input.masks();
+    fn masks(&self) -> Result<Option<PathBuf>, SfmError> {
+        let (masks, workspace) = (self.request.input.masks(), &self.workspace);
         if masks.is_empty() {
             return Ok(None);
         }
@@ -218,21 +186,26 @@ impl Reconstruction<'_> {
     }
 
     /// One of the steps that are COLMAP's, on a GPU if it has been built for it. If that fails, then on the CPU.
-    fn colmap(&mut self, step: Step, workspace: &Workspace) -> Result<(), SfmError> {
-        let (names, options, log) = (workspace.picture_names()?, self.request.options, workspace.log(step));
-        let one_camera = exif::have_one_camera(&workspace.pictures()?)?;
+    fn colmap(&mut self, step: Step, one_camera: bool) -> Result<(), SfmError> {
+        let (workspace, options, log) = (&self.workspace, self.request.options, self.workspace.log(step));
+        let names = workspace.picture_names()?;
         let matching = matching(options.matching, &names);
-        let masks = if step == Step::Features { self.masks(workspace)? } else { None };
-        let colmap = self.colmap.as_ref().expect("it is looked for before the first of its steps");
+        let masks = if step == Step::Features { self.masks()? } else { None };
+        if step == Step::Mapping {
+            // the models of an interrupted mapping are not kept
+            workspace.empty_folder("models")?;
+        }
+        let (colmap, observer) = (&self.colmap, &mut self.observer);
+        let database = workspace.database(&options.of_features(one_camera));
         let mut attempt = |gpu: bool| {
             let command = match step {
-                Step::Features => colmap.features(workspace, options, one_camera, masks.as_deref(), gpu),
-                Step::Matches => colmap.matches(workspace, options, matching, names.len(), gpu),
-                _ => colmap.mapping(workspace, options),
+                Step::Features => colmap.features(workspace, &database, options, one_camera, masks.as_deref(), gpu),
+                Step::Matches => colmap.matches(&database, options, matching, names.len(), gpu),
+                _ => colmap.mapping(workspace, &database, options),
             };
             programs::run(step, command, &log, &mut |line| {
                 if let Some((done, total)) = commands::progress(line, names.len()) {
-                    self.observer.progress(step, done, total);
+                    observer.progress(step, done, total);
                 }
             })
         };

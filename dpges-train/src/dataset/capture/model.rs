@@ -2,11 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
+use dpges_core::scene::atomic::make_folder;
+
 use super::FEWEST;
 use super::error::SfmError;
-use super::masks::file_name;
 use super::step::Step;
-use super::workspace::{Workspace, copy, file_names, make_folder, replace};
+use super::workspace::{Workspace, copy, file_names, replace};
 use crate::dataset::names::list;
 use crate::dataset::{ModelContent, model_content};
 
@@ -26,6 +27,7 @@ pub struct Outcome {
     /// Numbers of photographs of the models that came out, from most to least. The first is in use. Empty if they have been
     /// removed since.
     pub models: Vec<usize>,
+    /// How long each step took; empty if the dataset was there already.
     pub seconds: Vec<(Step, f64)>,
 }
 
@@ -94,18 +96,18 @@ pub(super) fn take_largest(workspace: &Workspace) -> Result<(), SfmError> {
     replace(&part, &workspace.sparse)
 }
 
-pub(super) fn outcome(workspace: &Workspace) -> Result<Outcome, SfmError> {
+pub(super) fn outcome(workspace: &Workspace, seconds: Vec<(Step, f64)>) -> Result<Outcome, SfmError> {
     let content = model_content(&workspace.sparse.join("0"))?;
     let names = workspace.picture_names()?;
     let is_placed = |name: &String| content.images.binary_search(name).is_ok();
     Ok(Outcome {
         dataset: workspace.root.clone(),
         photographs: names.len(),
-        masked: names.iter().filter(|name| workspace.masks.join(file_name(name)).is_file()).count(),
+        masked: names.iter().filter(|name| workspace.mask_of(name).is_some()).count(),
         unplaced: names.into_iter().filter(|name| !is_placed(name)).collect(),
         points: content.points,
         models: models(&workspace.models)?.iter().map(|(_, content)| content.images.len()).collect(),
-        seconds: workspace.seconds(),
+        seconds,
     })
 }
 

@@ -75,7 +75,16 @@ impl Default for Options {
     }
 }
 
-/// The name of a value on the command line and in `sfm/steps.json`; that of a camera model in COLMAP.
+impl Options {
+    /// Those that the features of photographs depend on, in the name of a file.
+    pub(super) fn of_features(&self, one_camera: bool) -> String {
+        let flag = |name, is_set: bool| if is_set { name } else { "" };
+        let flags = [flag("-shared", one_camera), flag("-inverted", self.invert_masks)];
+        name_of(self.camera).to_lowercase() + &flags.concat()
+    }
+}
+
+/// The name of a value on the command line; that of a camera model in COLMAP.
 pub fn name_of(value: impl ValueEnum) -> String {
     value.to_possible_value().expect("no variant is skipped").get_name().to_owned()
 }

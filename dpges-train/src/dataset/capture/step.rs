@@ -2,11 +2,8 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
-
 /// The steps of structure from motion, in their order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     /// The photographs, or the frames of the video.
     Pictures,
@@ -16,13 +13,9 @@ pub enum Step {
     Matches,
     /// Where they were taken from.
     Mapping,
-    /// The largest of the models that came out.
-    Model,
 }
 
 impl Step {
-    pub const ALL: [Self; 5] = [Self::Pictures, Self::Features, Self::Matches, Self::Mapping, Self::Model];
-
     /// Its name, also that of its log.
     pub fn name(self) -> &'static str {
         match self {
@@ -30,18 +23,6 @@ impl Step {
             Self::Features => "features",
             Self::Matches => "matches",
             Self::Mapping => "mapping",
-            Self::Model => "model",
-        }
-    }
-
-    /// The options that its result depends on, besides the steps before it.
-    pub(super) fn depends_on(self) -> &'static str {
-        match self {
-            Self::Pictures => "the photographs or their masks",
-            Self::Features => "the camera model (`--sfm-camera`) or what masks mean (`data.invert_masks`)",
-            Self::Matches => "the pairs that are compared (`--sfm-matching`)",
-            Self::Mapping => "the program (`--sfm`)",
-            Self::Model => "the models",
         }
     }
 }
@@ -52,7 +33,7 @@ impl fmt::Display for Step {
     }
 }
 
-/// Hears of what [`reconstruct`](super::reconstruct) does. Steps that are already done are not mentioned.
+/// Hears of what [`reconstruct`](super::reconstruct) does.
 pub trait Observer {
     /// A step begins or goes on.
     fn begin(&mut self, _step: Step) {}

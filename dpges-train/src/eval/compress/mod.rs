@@ -1,7 +1,5 @@
-//! The choice of a quality for a compressed scene: the best that fits into a size, or the one with the smallest file
+//! The choice of a level of quality for a compressed scene: the best that fits into a size, or the one with the smallest file
 //! that looks almost the same.
-//!
-//! Both start from a level of [`Quality::LEVELS`] and go on bit by bit, attribute by attribute, as long as it helps.
 
 pub mod report;
 
@@ -10,10 +8,6 @@ use std::path::{Path, PathBuf};
 use dpges_core::scene::{Quality, SceneData};
 
 use crate::config::budget::MEGABYTE;
-
-/// Indices into [`Quality::list`], in the order in which attributes are given another bit: rotations and the detail of
-/// colours change pictures most, opacities and margins least.
-const RAISED: [usize; 7] = [1, 6, 0, 2, 5, 3, 4];
 
 /// Why there is no compressed scene, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -107,27 +101,24 @@ impl Goal {
     }
 }
 
-/// The best quality for a file of at most `largest` bytes.
+/// The best level for a file of at most `largest` bytes.
 ///
 /// # Errors
 /// [`CompressError::TooLarge`] with the size of the lowest level, or [`CompressError::Scene`].
 pub fn within_size(scene: &SceneData, largest: usize, path: &Path) -> Result<Compressed, CompressError> {
-    let (mut better, mut smallest) = (None, 0);
+    let mut smallest = 0;
     for (_, quality) in Quality::LEVELS {
         let candidate = Compressed::new(scene, &quality, path)?;
         smallest = candidate.bytes.len();
         if smallest <= largest {
-            let most = better.unwrap_or(quality).list();
-            let more = |bits: u8, attribute: usize| (bits < most[attribute]).then(|| bits + 1);
-            return bit_by_bit(scene, candidate, &RAISED, more, |candidate| Ok(candidate.bytes.len() <= largest));
+            return Ok(candidate);
         }
-        better = Some(quality);
     }
     Err(CompressError::TooLarge { smallest, largest })
 }
 
-/// The smallest file found whose pictures are worse by at most `allowed` dB. `measure` gives the PSNR of a compressed
-/// scene, `before` is that of the scene itself. Returns the PSNR of the file as well.
+/// The lowest level whose pictures are worse by at most `allowed` dB. `measure` gives the PSNR of a compressed scene, `before`
+/// is that of the scene itself. Returns the PSNR of the file as well.
 ///
 /// # Errors
 /// [`CompressError::TooDifferent`] if the highest level loses more, those of `measure`, or [`CompressError::Scene`].
@@ -140,55 +131,14 @@ pub fn within_loss(
 ) -> Result<(Compressed, f64), CompressError> {
     let mut found = f64::INFINITY;
     for (_, quality) in Quality::LEVELS.into_iter().rev() {
-        let start = Compressed::new(scene, &quality, path)?;
-        let mut after = measure(&start)?;
+        let candidate = Compressed::new(scene, &quality, path)?;
+        let after = measure(&candidate)?;
         found = before - after;
         if found <= allowed {
-            let lowered: Vec<usize> = RAISED.into_iter().rev().collect();
-            let fewer = |bits: u8, _| (bits > Quality::MIN_BITS).then(|| bits - 1);
-            let mut size = start.bytes.len();
-            let best = bit_by_bit(scene, start, &lowered, fewer, |candidate| {
-                if candidate.bytes.len() >= size {
-                    return Ok(false);
-                }
-                let psnr = measure(candidate)?;
-                let accepted = before - psnr <= allowed;
-                if accepted {
-                    (after, size) = (psnr, candidate.bytes.len());
-                }
-                Ok(accepted)
-            })?;
-            return Ok((best, after));
+            return Ok((candidate, after));
         }
     }
     Err(CompressError::TooDifferent { found, allowed })
-}
-
-/// Changes one attribute of `best` after the other, in `order`, to what `next` makes of its bits, and begins again. An
-/// attribute stays as it is once `next` has no more bits for it or the result is not accepted.
-fn bit_by_bit(
-    scene: &SceneData,
-    mut best: Compressed,
-    order: &[usize],
-    next: impl Fn(u8, usize) -> Option<u8>,
-    mut accept: impl FnMut(&Compressed) -> dpges_core::Result<bool>,
-) -> Result<Compressed, CompressError> {
-    let mut open = order.to_vec();
-    while !open.is_empty() {
-        let mut still_open = Vec::new();
-        for attribute in open {
-            let mut bits = best.quality.list();
-            let Some(changed) = next(bits[attribute], attribute) else { continue };
-            bits[attribute] = changed;
-            let candidate = Compressed::new(scene, &Quality::from_list(bits), &best.path)?;
-            if accept(&candidate)? {
-                best = candidate;
-                still_open.push(attribute);
-            }
-        }
-        open = still_open;
-    }
-    Ok(best)
 }
 
 #[cfg(test)]
@@ -209,21 +159,13 @@ mod tests {
         within_size(&scene(), largest, Path::new("out"))
     }
 
-    /// As if every bit less of any attribute made the error of pictures larger.
-    fn psnr(quality: &Quality) -> f64 {
-        40.0 - quality.list().iter().map(|&bits| 0.5f64.powi(bits.into())).sum::<f64>()
-    }
-
     #[test]
     fn the_best_quality_that_fits_is_taken() {
         assert_eq!(fitting(usize::MAX).unwrap().quality, Quality::HIGHEST);
         assert_eq!(fitting(size_of_level(0)).unwrap().quality, Quality::HIGHEST);
         let [high, medium] = [1, 2].map(size_of_level);
         let between = fitting((high + medium) / 2).unwrap();
-        assert!(between.bytes.len() <= (high + medium) / 2 && between.bytes.len() > medium);
-        let bits = between.quality.list().into_iter().zip(Quality::HIGH.list()).zip(Quality::MEDIUM.list());
-        assert!(bits.clone().all(|((found, high), medium)| (medium..=high).contains(&found)));
-        assert!(bits.clone().any(|((found, high), _)| found < high) && between.quality != Quality::MEDIUM);
+        assert_eq!((between.quality, between.bytes.len()), (Quality::MEDIUM, medium));
         assert_eq!(between.scene().unwrap().gaussians.len(), 300);
     }
 
@@ -239,28 +181,14 @@ mod tests {
     }
 
     #[test]
-    fn bits_are_saved_while_the_loss_is_allowed() {
-        let mut measured = 0;
-        for allowed in [0.002, 0.05, 0.5] {
-            let (found, after) = within_loss(&scene(), 40.0, allowed, Path::new("out"), |candidate| {
-                measured += 1;
-                Ok(psnr(&candidate.quality))
-            })
-            .unwrap();
-            assert_eq!(after, psnr(&found.quality));
-            assert!(40.0 - after <= allowed, "{:?}", found.quality);
-            // no attribute can do with one bit less
-            for attribute in 0..7 {
-                let mut bits = found.quality.list();
-                bits[attribute] -= 1;
-                if bits[attribute] >= Quality::MIN_BITS {
-                    let fewer = Quality::from_list(bits);
-                    let smaller = Compressed::new(&scene(), &fewer, Path::new("out")).unwrap();
-                    assert!(40.0 - psnr(&fewer) > allowed || smaller.bytes.len() >= found.bytes.len(), "{fewer:?}");
-                }
-            }
+    fn the_lowest_level_within_the_loss_is_taken() {
+        let losses = Quality::LEVELS.map(|(_, quality)| quality).into_iter().zip([0.0, 0.1, 0.2, 0.3]);
+        let psnr = |of: &Compressed| 40.0 - losses.clone().find(|(quality, _)| *quality == of.quality).unwrap().1;
+        for (allowed, expected) in [(0.3, 3), (0.25, 2), (0.05, 0)] {
+            let (found, after) =
+                within_loss(&scene(), 40.0, allowed + 1e-9, Path::new("out"), |candidate| Ok(psnr(candidate))).unwrap();
+            assert_eq!((found.quality, after), (Quality::LEVELS[expected].1, psnr(&found)));
         }
-        assert!(measured > 3, "levels and bits are tried");
     }
 
     #[test]

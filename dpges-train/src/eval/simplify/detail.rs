@@ -4,9 +4,6 @@ use dpges_core::scene::{ColourData, ColourModel, SceneData};
 
 use crate::refine::lobes::keep_lobes;
 
-/// Distance of cameras that stand for all directions, in extents: primitives look alike from one of them.
-const FAR: f64 = 1e3;
-
 /// Lobes, or the degree of the harmonics.
 pub fn detail_of(model: ColourModel) -> usize {
     match model {
@@ -17,16 +14,14 @@ pub fn detail_of(model: ColourModel) -> usize {
 
 /// `scene` with at most `most` lobes per primitive, or harmonics of at most that degree. The most visible lobes are
 /// kept: those that change most between cameras at `camera_centres` (world units). The mean of the others becomes part of
-/// the base colour. Without cameras all directions count alike.
+/// the base colour.
 pub fn with_detail(scene: &SceneData, most: usize, camera_centres: &[[f64; 3]]) -> SceneData {
     let model = scene.info.colour_model;
     if most >= detail_of(model) {
         return scene.clone();
     }
-    let around = all_around(scene.info.extent);
-    let centres = if camera_centres.is_empty() { &around[..] } else { camera_centres };
     let reduced = |positions: &[f32], colour: &ColourData| match model {
-        ColourModel::SphericalBeta { lobes } => keep_lobes(positions, colour, lobes, centres, most),
+        ColourModel::SphericalBeta { lobes } => keep_lobes(positions, colour, lobes, camera_centres, most),
         ColourModel::SphericalHarmonics { .. } | ColourModel::HarmonicsAndOpacity { .. } => {
             lower_degree(colour, model, most)
         }
@@ -53,20 +48,6 @@ fn lower(values: &[f32], width: usize, kept: usize) -> Vec<f32> {
     values.chunks_exact(width.max(1)).flat_map(|row| &row[..kept]).copied().collect()
 }
 
-/// Cameras before the faces and the corners of a cube around everything.
-fn all_around(extent: f64) -> Vec<[f64; 3]> {
-    let distance = FAR * extent.max(f64::MIN_POSITIVE);
-    let signs = [-1.0, 0.0, 1.0];
-    let all = signs.into_iter().flat_map(|x| signs.into_iter().flat_map(move |y| signs.map(|z| [x, y, z])));
-    let zeros = |v: &[f64; 3]| v.iter().filter(|&&x| x == 0.0).count();
-    let ends = all.filter(|v| matches!(zeros(v), 0 | 2));
-    ends.map(|v| {
-        let length = v.iter().map(|x| x * x).sum::<f64>().sqrt();
-        v.map(|x| distance * x / length)
-    })
-    .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use dpges_core::testing::scenes::{Recipe, random};
@@ -89,13 +70,13 @@ mod tests {
         for model in [ColourModel::SphericalBeta { lobes: 2 }, ColourModel::SphericalHarmonics { degree: 2 }] {
             let before = scene(model);
             for most in 0..2 {
-                let after = with_detail(&before, most, &[]);
+                let after = with_detail(&before, most, &[[0.0; 3]]);
                 assert_eq!(detail_of(after.info.colour_model), most);
                 assert_eq!((after.surfels.len(), after.gaussians.len()), (4, 5));
                 assert!(is_valid(&after), "{model} with {most}");
             }
-            assert_eq!(with_detail(&before, 2, &[]), before);
-            assert_eq!(with_detail(&before, 7, &[]), before);
+            assert_eq!(with_detail(&before, 2, &[[0.0; 3]]), before);
+            assert_eq!(with_detail(&before, 7, &[[0.0; 3]]), before);
         }
     }
 
@@ -109,15 +90,5 @@ mod tests {
             assert_eq!(long[..9], short[..9], "row {row}");
         }
         assert_eq!(before.gaussians.colour.base, after.gaussians.colour.base);
-    }
-
-    #[test]
-    fn all_directions_are_those_to_the_faces_and_corners_of_a_cube() {
-        let around = all_around(2.0);
-        assert_eq!(around.len(), 6 + 8);
-        for centre in &around {
-            let length = centre.iter().map(|x| x * x).sum::<f64>().sqrt();
-            assert!((length - 2e3).abs() < 1e-6, "{centre:?}");
-        }
     }
 }

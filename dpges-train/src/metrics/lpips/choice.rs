@@ -17,9 +17,7 @@ pub enum ChoiceError {
     NoneAndOthers,
     #[error("--lpips: {first} and {second} both hold network `{network}`")]
     Twice { first: Choice, second: Choice, network: Network },
-    #[error(
-        "--lpips: network `{network}` is not installed: {place}; `dpges lpips install {network}` puts it there; or name a file"
-    )]
+    #[error("--lpips: {place}; tools/lpips_weights.py {network} makes it, see docs/guide/measure.md; or name a file")]
     NotInstalled { network: Network, place: String },
     #[error(transparent)]
     Network(#[from] LpipsError),

@@ -7,7 +7,6 @@
 //! The weights do not come with the program: [`Weights::load`] reads them from a file, and [`installed`] says where it may be.
 
 pub mod choice;
-pub mod install;
 pub mod installed;
 mod network;
 #[cfg(test)]

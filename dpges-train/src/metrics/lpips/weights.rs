@@ -9,8 +9,7 @@ use super::network::{Network, TensorShape};
 
 /// Version of the linear layers: those for scaled pictures.
 const VERSION: &str = "0.1";
-const ADVICE: &str =
-    "`dpges lpips install` and dpges-train/tools/lpips_weights.py make such files, see docs/guide/measure.md";
+const ADVICE: &str = "tools/lpips_weights.py makes such files, see docs/guide/measure.md";
 
 /// Why a network cannot be used.
 #[derive(Debug, thiserror::Error)]

@@ -12,28 +12,28 @@
 //! let (scene, camera) = realistic(10_000, 100_000, 400, 400, 1).into_scene();
 //! let mut steps = Steps::new(&scene, &[camera], StepStage::Joint, &device)?;
 //! let cost = measure(&mut steps, Rounds { warm_up: 3, counted: 10 })?;
-//! println!("{:.1} ms", cost.time.median_ms);
+//! println!("{:.1} ms", cost.median_ms);
 //! # Ok(())
 //! # }
 //! ```
 
-mod lists;
-pub mod report;
 mod steps;
 #[cfg(test)]
 mod tests;
 
+use std::cmp::Reverse;
 use std::time::Instant;
 
-use dpges_core::backend::device::is_gpu;
-use dpges_core::counters::transfers::Transfers;
-use dpges_core::counters::{DeviceMemory, KernelTime, Launches};
+use dpges_core::counters::GpuWork;
+#[cfg(feature = "gpu")]
+use dpges_core::counters::kernels::observe;
+use dpges_core::counters::transfers::{Transfers, transfers};
+use dpges_render::percentile::percentiles;
 use serde::Serialize;
 
 use crate::device::memory::PeakMemory;
 use crate::run::TrainError;
 pub use crate::run::own_pictures::StepStage;
-pub use lists::{List, Lists};
 pub use steps::Steps;
 
 /// How many steps are taken.
@@ -43,15 +43,6 @@ pub struct Rounds {
     pub warm_up: usize,
     /// Steps whose times count; at least 1.
     pub counted: usize,
-}
-
-/// Times of steps one after another, as in a run: the host prepares a step while a GPU works on the one before.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct StepTimes {
-    pub steps: usize,
-    pub median_ms: f64,
-    /// 95 % of the steps took no longer.
-    pub p95_ms: f64,
 }
 
 /// The measurements of a step.
@@ -65,41 +56,50 @@ pub struct StepCost {
     pub views: usize,
     pub width: usize,
     pub height: usize,
-    pub time: StepTimes,
+    pub steps: usize,
+    /// Of steps one after another, as in a run: the host prepares a step while a GPU works on the one before.
+    pub median_ms: f64,
+    /// 95 % of the steps took no longer.
+    pub p95_ms: f64,
     /// The most memory that this process has had in use during these steps, bytes; `None` where that is not known.
     pub process_peak_bytes: Option<u64>,
-    /// Tile lists of the first view.
-    pub lists: Lists,
-    /// `None` on a CPU.
-    pub gpu: Option<GpuCost>,
-}
-
-/// The requests of a step to a GPU.
-#[derive(Clone, Debug, Serialize)]
-pub struct GpuCost {
-    /// Launches of all kernels, dpges' own and Burn's.
-    pub launches: usize,
-    pub launches_by_kernel: Launches,
+    /// Between host and device, in a step.
     pub transfers: Transfers,
-    pub memory: DeviceMemory,
-    /// By the clock of the device, the longest first; `None` where the adapter has no timestamps.
-    pub kernel_times: Option<Vec<KernelTime>>,
+    /// `None` on a CPU.
+    pub gpu: Option<GpuWork>,
 }
 
-/// Takes steps and measures them: first the times, then, of steps that are waited for, all else.
+/// Takes steps and measures them: first the times, then, of a step that is waited for, all else.
 pub fn measure(steps: &mut Steps, rounds: Rounds) -> Result<StepCost, TrainError> {
     (0..rounds.warm_up).try_for_each(|_| steps.step())?;
-    let peak = PeakMemory::start();
-    let time = times(steps, rounds.counted.max(1))?;
+    let (peak, count) = (PeakMemory::start(), rounds.counted.max(1));
+    let times = times(steps, count)?;
     let process_peak_bytes = peak.bytes();
-    let gpu = if is_gpu(steps.device()) { gpu_cost(steps)? } else { None };
+    let [median_ms, p95_ms] = percentiles(times, [0.5, 0.95]).expect("a step is counted");
+    let before = transfers();
+    steps.step_and_settle()?;
+    let (transfers, gpu) = (transfers().since(before), gpu_work(steps)?);
     let (surfels, gaussians) = steps.primitives();
     let [width, height] = steps.size();
-    let (stage, views, lists) = (steps.kind().to_string(), steps.views(), steps.lists()?);
-    Ok(StepCost { stage, surfels, gaussians, views, width, height, time, process_peak_bytes, lists, gpu })
+    let (stage, views, steps) = (steps.kind().to_string(), steps.views(), count);
+    Ok(StepCost {
+        stage,
+        surfels,
+        gaussians,
+        views,
+        width,
+        height,
+        steps,
+        median_ms,
+        p95_ms,
+        process_peak_bytes,
+        transfers,
+        gpu,
+    })
 }
 
-fn times(steps: &mut Steps, count: usize) -> Result<StepTimes, TrainError> {
+/// Of each step, ms.
+fn times(steps: &mut Steps, count: usize) -> Result<Vec<f64>, TrainError> {
     // a GPU works on this one when the clock starts
     steps.step()?;
     let mut last = Instant::now();
@@ -111,30 +111,48 @@ fn times(steps: &mut Steps, count: usize) -> Result<StepTimes, TrainError> {
         last = now;
     }
     steps.settle()?;
-    times.sort_unstable_by(f64::total_cmp);
-    let [median_ms, p95_ms] = [0.5, 0.95].map(|share| times[(share * (count - 1) as f64).round() as usize]);
-    Ok(StepTimes { steps: count, median_ms, p95_ms })
+    Ok(times)
 }
 
 #[cfg(feature = "gpu")]
-fn gpu_cost(steps: &mut Steps) -> Result<Option<GpuCost>, TrainError> {
-    use dpges_core::counters::kernels::{count_launches, time_kernels, watch_memory};
-    use dpges_core::counters::transfers::transfers;
-
-    let before = transfers();
-    let (taken, launches_by_kernel) = count_launches(|| steps.step_and_settle());
-    taken?;
-    let transfers = transfers().since(before);
+fn gpu_work(steps: &mut Steps) -> Result<Option<GpuWork>, TrainError> {
     let device = steps.device().clone();
-    let (taken, memory) = watch_memory(&device, || steps.step_and_settle());
-    taken?;
-    let (taken, kernel_times) = time_kernels(|| steps.step_and_settle());
-    taken?;
-    let launches = launches_by_kernel.values().sum();
-    Ok(memory.map(|memory| GpuCost { launches, launches_by_kernel, transfers, memory, kernel_times }))
+    let (taken, work) = observe(&device, || steps.step_and_settle());
+    taken.map(|()| work)
 }
 
 #[cfg(not(feature = "gpu"))]
-fn gpu_cost(_: &mut Steps) -> Result<Option<GpuCost>, TrainError> {
+fn gpu_work(_: &mut Steps) -> Result<Option<GpuWork>, TrainError> {
     Ok(None)
+}
+
+impl StepCost {
+    /// Names and values, for people.
+    pub fn rows(&self) -> Vec<(&'static str, String)> {
+        let megabytes = |bytes: u64| format!("{:.2} MB", bytes as f64 / 1e6);
+        let Self { stage, surfels, gaussians, views, width, height, steps, median_ms, p95_ms, .. } = self;
+        let Transfers { uploads, uploaded_bytes, downloads, downloaded_bytes, waits } = self.transfers;
+        let mut rows = vec![
+            ("step", format!("{stage}, {surfels} surfels, {gaussians} Gaussians, {views} x {width}x{height} px")),
+            ("time", format!("median {median_ms:.2} ms, p95 {p95_ms:.2} ms, of {steps}")),
+            (
+                "transfers",
+                format!("up {uploads}: {uploaded_bytes} B, down {downloads}: {downloaded_bytes} B, {waits} waited for"),
+            ),
+        ];
+        rows.extend(self.process_peak_bytes.map(|bytes| ("process", format!("peak {}", megabytes(bytes)))));
+        let Some(GpuWork { kernels, memory }) = &self.gpu else { return rows };
+        let [alive, peak, reserved] = [memory.alive_bytes, memory.peak_bytes, memory.reserved_bytes].map(megabytes);
+        rows.push(("memory", format!("between steps {alive}, peak {peak}, reserved {reserved}")));
+        let launches = kernels.values().map(|kernel| kernel.launches).sum::<usize>();
+        rows.push(("launches", format!("{launches} of {} kernels", kernels.len())));
+        let mut kernels: Vec<_> = kernels.iter().collect();
+        kernels
+            .sort_by_key(|(_, kernel)| Reverse(((1e6 * kernel.milliseconds.unwrap_or(0.0)) as u64, kernel.launches)));
+        rows.extend(kernels.into_iter().map(|(name, kernel)| {
+            let time = kernel.milliseconds.map_or(String::new(), |time| format!("{time:9.3} ms  "));
+            ("", format!("{time}{:4} x {name}", kernel.launches))
+        }));
+        rows
+    }
 }

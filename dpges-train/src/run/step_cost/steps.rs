@@ -3,18 +3,15 @@
 use burn::tensor::Device;
 use dpges_core::backend::device::is_gpu;
 use dpges_core::camera::Camera;
-use dpges_core::ranks::sums_of_view;
 use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
 
-use super::lists::Lists;
 use crate::config::StageKind;
 use crate::dataset::{Picture, View};
 use crate::eval::rendered::Renderer;
-use crate::optimizer::Parameter;
 use crate::run::own_pictures::{StepStage, config, dataset, last_stage};
 use crate::run::{StepReport, TrainError};
-use crate::stage::{self, Context, Parameters, PendingStep, Stage, StepViews, begin_step};
+use crate::stage::{self, Context, PendingStep, Stage, StepViews, begin_step};
 
 /// Where in the stage the steps are, as a share: surfels are still judged, blended Gaussians still densified.
 const PROGRESS: f64 = 0.4;
@@ -24,7 +21,6 @@ const DARKER: f32 = 0.9;
 /// Training steps of a scene from its cameras, in turns, at two fifths of a run of the default configuration, without
 /// refinement in between. The scene learns its own pictures, a little darker.
 pub struct Steps {
-    scene: SceneData,
     context: Context,
     stage: Box<dyn Stage>,
     next: usize,
@@ -49,7 +45,7 @@ impl Steps {
         let train = pictures(scene, cameras, device)?;
         let (plan, context) = last_stage(config(scene, stage), dataset(&scene.info, train), PROGRESS, device);
         let stage = stage::of_scene(plan, scene, &context);
-        Ok(Self { scene: scene.clone(), context, stage, next: 0, pending: None })
+        Ok(Self { context, stage, next: 0, pending: None })
     }
 
     /// Hands a step over to the device. On a GPU it waits for the one before, on a CPU for this one.
@@ -81,15 +77,6 @@ impl Steps {
         self.settle()
     }
 
-    /// The tile lists of the first view, of the scene as it was given.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if it cannot be rendered.
-    pub fn lists(&self) -> Result<Lists, TrainError> {
-        let camera = &self.context.dataset.train[0].camera;
-        Ok(Lists::new(&self.scene, self.kind(), camera, &self.context.device)?)
-    }
-
     pub fn device(&self) -> &Device {
         &self.context.device
     }
@@ -108,21 +95,6 @@ impl Steps {
     pub fn primitives(&mut self) -> (usize, usize) {
         let parameters = self.stage.parameters();
         (parameters.surfels.len(), parameters.gaussians.len())
-    }
-
-    /// How many numbers ranks join in a step: in the joint stage the sums of a view, otherwise the gradients of all parameters.
-    pub fn joined_numbers(&mut self) -> usize {
-        match self.kind() {
-            StageKind::Joint => {
-                let [width, height] = self.size();
-                sums_of_view(width * height, self.scene.info.layer_count)
-            }
-            StageKind::Blended(_) => {
-                let Parameters { gaussians, environment, .. } = self.stage.parameters();
-                let rows = gaussians.rows().into_values().chain(environment.as_ref().map(Parameter::rows));
-                rows.map(|rows| rows.raw.len()).sum()
-            }
-        }
     }
 
     /// The kind of stage that the steps train.

@@ -95,18 +95,15 @@ impl fmt::Display for Target {
 }
 
 fn wanted(text: &str) -> Result<Wanted, String> {
-    if let Some(time) = duration::with_unit(text) {
-        return time.map(Wanted::Time);
-    }
     let number = |unit: &str| text.strip_suffix(unit)?.trim().parse::<f64>().ok();
     let megabytes = [("kB", 1e-3), ("MB", 1.0), ("GB", 1e3)].iter().find_map(|(unit, of)| Some(number(unit)? * of));
     match (number("fps"), megabytes) {
         (Some(rate), _) if rate.is_finite() && rate > 0.0 => Ok(Wanted::FramesPerSecond(rate)),
         (Some(_), _) => Err(format!("`{text}` is not a positive, finite number of fps")),
         (None, Some(size)) => Err(format!("`{text}` is a size, which is a budget: write `--budget {size}MB`")),
-        (None, None) => Err(format!(
-            "`{text}` is no target: write a number and a unit: s, min or h (training), fps (real-time rendering)"
-        )),
+        (None, None) => duration::duration(text)
+            .map(Wanted::Time)
+            .map_err(|error| format!("{error}, or a speed of the real-time renderer, such as 30fps")),
     }
 }
 
@@ -215,8 +212,8 @@ mod tests {
             ("500 kB", "write `--budget 0.5MB`"),
             ("1 GB fps", "s, min or h"),
             ("fast", "s, min or h"),
-            ("10", "fps (real-time"),
-            ("", "fps (real-time"),
+            ("10", "such as 30fps"),
+            ("", "such as 30fps"),
             ("0 fps", "positive"),
             ("NaN fps", "positive"),
             ("0min", "positive"),
@@ -233,7 +230,7 @@ mod tests {
         let mut pursue = |text: &str| text.parse::<Target>().unwrap().pursue(&mut config, &dataset, &device);
         let pursuit = pursue("2h").unwrap();
         assert!(pursuit.expected > 0.8 * 7200.0 && pursuit.expected <= 7200.0, "{}", pursuit.expected);
-        let error = pursue("0.001s").unwrap_err();
+        let error = pursue("1ms").unwrap_err();
         assert!(error.to_string().contains("too short"), "{error}");
         assert!(config.train.steps > 5000, "{}", config.train.steps);
         assert_eq!(config.refine.budget, Budget::Pixels);

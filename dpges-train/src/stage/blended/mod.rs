@@ -69,15 +69,10 @@ pub struct BlendedStage {
     pub gaussians: GaussianState,
     pub environment: EnvironmentState,
     pub screen_gradients: ScreenGradients,
-    /// Gradients before the last step, if there was one.
-    gradients_before: Option<ScreenGradients>,
-    /// [M, 3] positions before the jitter of the last step, if it had any.
-    positions_before: Option<Tensor<2>>,
     /// `None` without a filter in the world.
     pub sampling_limit: Option<SamplingLimit>,
     /// Momenta of positions; `None` where Adam moves them.
     pub momenta: Option<Momenta>,
-    momenta_before: Option<Momenta>,
     /// `None` unless Gaussians are summed.
     pub weighted_sum: Option<WeightedSumState>,
 }
@@ -156,11 +151,8 @@ impl BlendedStage {
             gaussians,
             environment,
             screen_gradients,
-            gradients_before: None,
-            positions_before: None,
             sampling_limit: None,
             momenta,
-            momenta_before: None,
             weighted_sum: None,
         }
     }
@@ -284,7 +276,6 @@ impl BlendedStage {
         let adam = context.config.optimizer.adam(completed, self.views_per_step());
         let gaussians = self.gaussians.values();
         let Some(momenta) = &mut self.momenta else { return Ok(()) };
-        self.momenta_before = Some(momenta.clone());
         let positions = momenta.step(&self.gaussians.columns.positions, &gaussians, &adam, &step)?;
         self.gaussians.columns.positions.set_tensor(positions);
         Ok(())
@@ -376,9 +367,7 @@ impl Stage for BlendedStage {
     }
 
     fn observe(&mut self, observed: Observed, cameras: &[Camera]) {
-        self.gradients_before = None;
         if let Some(gradient) = observed.of_probe {
-            self.gradients_before = Some(self.screen_gradients.clone());
             let axes = if self.blended == Blended::Discs { 2 } else { 3 };
             let gaussians = self.gaussians.values();
             cameras.iter().for_each(|camera| self.screen_gradients.see(&gaussians, axes, camera));
@@ -412,26 +401,12 @@ impl Stage for BlendedStage {
 
     fn after_step(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
         if self.blended == Blended::Relocated(Relocation::Mcmc) {
-            self.positions_before = Some(self.gaussians.columns.positions.raw());
             self.jitter(NoiseGate::Mcmc, completed, context)?;
         }
         if self.momenta.is_some() && !self.gaussians.is_empty() {
-            self.positions_before = Some(self.gaussians.columns.positions.raw());
             self.move_by_momenta(completed, context)?;
         }
         Ok(())
-    }
-
-    fn undo(&mut self) {
-        if let Some(gradients) = self.gradients_before.take() {
-            self.screen_gradients = gradients;
-        }
-        if let Some(positions) = self.positions_before.take() {
-            self.gaussians.columns.positions.set_tensor(positions);
-        }
-        if let Some(momenta) = self.momenta_before.take() {
-            self.momenta = Some(momenta);
-        }
     }
 
     fn checkpoint(&self) -> StageCheckpoint {

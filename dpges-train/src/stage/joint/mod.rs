@@ -58,7 +58,6 @@ pub struct JointStage {
     /// `None` if nothing holds the sky free.
     pub sky: Option<SkyMasks>,
     pub statistics: Statistics,
-    pub statistics_before: Option<Statistics>,
     /// Targets of the geometry losses; `None` without them.
     pub supervisions: Option<Supervisions>,
     /// Growth decisions of an automatic budget; `None` before the first, and with a fixed budget.
@@ -104,7 +103,6 @@ impl JointStage {
             limits: None,
             sky: SkyMasks::new(&environment, context),
             environment,
-            statistics_before: None,
             supervisions: None,
             growth: None,
             surroundings: context.surroundings.clone(),
@@ -247,12 +245,7 @@ impl Stage for JointStage {
     }
 
     fn observe(&mut self, observed: Observed, _: &[Camera]) {
-        let statistics = observed.statistics.expect("this stage has statistics");
-        self.statistics_before = Some(std::mem::replace(&mut self.statistics, statistics));
-    }
-
-    fn undo(&mut self) {
-        self.statistics = self.statistics_before.take().expect("a step has been taken");
+        self.statistics = observed.statistics.expect("this stage has statistics");
     }
 
     fn looks_at_pictures(&self) -> bool {

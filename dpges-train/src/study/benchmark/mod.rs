@@ -14,7 +14,7 @@ pub mod slurm;
 pub mod tables;
 mod written;
 
-use std::fs::{File, TryLockError};
+use std::fs::File;
 use std::path::PathBuf;
 
 use super::cell::{Cell, Plan};
@@ -25,6 +25,7 @@ use super::{Result, StudyError};
 use crate::config::Config;
 use crate::dataset::source::Source;
 use crate::metrics::lpips::choice::{Choice, has_vgg};
+use crate::run::jobs::lock;
 use layout::{Asked, Scene};
 use protocol::Protocol;
 use published::{WAYS, Way};
@@ -38,8 +39,6 @@ const RUNS: &str = "runs";
 const ROW: &str = "row.json";
 /// Messages of the process that works on a cell, in the folder of its run.
 const LOG: &str = "log.txt";
-/// Held by that process.
-const LOCK: &str = "lock";
 
 /// The request of a user.
 #[derive(Clone, Debug, Default)]
@@ -146,18 +145,7 @@ impl Benchmark {
     /// # Errors
     /// If its folder cannot be written.
     pub fn lock(&self, planned: &Planned) -> Result<File> {
-        let folder = self.folder(planned);
-        std::fs::create_dir_all(&folder)?;
-        let file = File::create(folder.join(LOCK))?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                tracing::info!("{} waits for another process that works on it", planned.name());
-                file.lock()?;
-            }
-            Err(TryLockError::Error(error)) => return Err(error.into()),
-        }
-        Ok(file)
+        Ok(lock(&self.folder(planned), &planned.name())?)
     }
 
     /// The row of a cell that is finished and measured; `None` of others.
@@ -211,7 +199,7 @@ pub mod tests {
     use tempfile::TempDir;
 
     use super::*;
-    use crate::study::cell::State;
+    use crate::run::jobs::State;
 
     /// Folders and files, which end without and with a point; `sparse` makes a COLMAP scene.
     pub fn made(paths: &[&str]) -> TempDir {
@@ -308,17 +296,5 @@ pub mod tests {
         let other = Protocol { steps_scale: 0.5, ..Protocol::default() };
         let message = benchmark(data.path(), &["mcmc"], other).study().unwrap_err().to_string();
         assert!(message.contains("`steps_scale` is 1.0, not 0.5"), "{message}");
-    }
-
-    #[test]
-    fn a_cell_is_worked_on_by_one_process_at_a_time() {
-        let data = data();
-        let all = benchmark(data.path(), &["mcmc"], Protocol::default());
-        let planned = &all.planned()[0];
-        let held = all.lock(planned).unwrap();
-        let other = File::open(all.folder(planned).join(LOCK)).unwrap();
-        assert!(matches!(other.try_lock(), Err(TryLockError::WouldBlock)));
-        drop(held);
-        assert!(other.try_lock().is_ok());
     }
 }

@@ -1,55 +1,37 @@
 //! The cells of a benchmark as jobs of Slurm.
 
-use std::ffi::OsString;
-use std::fmt::Write as _;
 use std::path::Path;
 
 use super::super::Result;
 use super::super::store::write_texts;
 use super::{Benchmark, Planned};
 use crate::device::DeviceRequest;
+use crate::run::jobs::{Job, needs_gpu, write_slurm};
 use crate::run::shell::quoted;
 
 impl Benchmark {
-    /// Writes into `folder`: `cells.txt`, the cells that are not done; `cells.sbatch`, an array of jobs, one for each, with the
-    /// command that this program runs for a cell on `device`; `tables.sbatch`, which writes the tables; and `submit.sh`, which
-    /// submits the second to follow the first. Returns the paths, one a line.
+    /// Writes into `folder` `cells.txt`, the cells that are not done, and [jobs](write_slurm): an array with the command that this
+    /// program runs for a cell on `device`, and the tables. Returns the paths, one a line.
     ///
     /// # Errors
     /// If a file cannot be written.
     pub fn write_slurm(&self, folder: &Path, device: DeviceRequest) -> Result<String> {
         std::fs::create_dir_all(folder)?;
         let folder = std::path::absolute(folder)?;
-        let program = std::env::current_exe()?;
-        let here = std::env::current_dir()?;
+        let words = std::iter::once(std::env::current_exe()?.into()).chain(self.common_arguments());
+        let command = words.map(|word| quoted(&word.to_string_lossy())).collect::<Vec<_>>().join(" ");
         let cells = self.open();
-        let common = |last: &str| -> String {
-            let arguments = self.common_arguments();
-            let words = std::iter::once(program.clone().into()).chain(arguments);
-            words.map(|word: OsString| quoted(&word.to_string_lossy())).collect::<Vec<_>>().join(" ") + " " + last
-        };
-        let place = quoted(&folder.to_string_lossy());
-        let enter = format!("set -euo pipefail\ncd {}\n", quoted(&here.to_string_lossy()));
-        let last = cells.len().saturating_sub(1);
-        let mut array = format!(
-            "#!/bin/bash\n#SBATCH --job-name=dpges-cells\n#SBATCH --array=0-{last}\n#SBATCH --gres=gpu:1\n#SBATCH --requeue\n\
-             #SBATCH --output=cells-%a.log\n#SBATCH --open-mode=append\n"
+        let list = quoted(&folder.join("cells.txt").to_string_lossy());
+        let array = format!(
+            "cell=$(sed -n \"$((SLURM_ARRAY_TASK_ID + 1))p\" {list})\n{command} --devices={device} --cell=\"$cell\"\n"
         );
-        array += &enter;
-        _ = writeln!(array, "cell=$(sed -n \"$((SLURM_ARRAY_TASK_ID + 1))p\" {place}/cells.txt)");
-        array += &common(&format!("--devices={} --cell=\"$cell\"\n", device));
-        let head = "#!/bin/bash\n#SBATCH --job-name=dpges-tables\n#SBATCH --output=tables.log\n";
         let (methods, scenes) = (self.names(|planned| planned.way.name), self.names(|planned| planned.scene.name));
-        let chosen = format!("--methods={methods} --scenes={scenes} --tables\n");
-        let tables = format!("{head}{enter}{}", common(&chosen));
-        let jobs = match cells.len() {
-            0 => "sbatch tables.sbatch\n",
-            _ => "cells=$(sbatch --parsable cells.sbatch)\nsbatch --dependency=\"afterany:$cells\" tables.sbatch\n",
-        };
-        let submit = format!("#!/bin/bash\nset -euo pipefail\ncd {place}\n{jobs}");
-        let list: String = cells.iter().map(|cell| cell.name() + "\n").collect();
-        let files = [("cells.txt", list), ("cells.sbatch", array), ("tables.sbatch", tables), ("submit.sh", submit)];
-        write_texts(&folder, files)
+        let tables = format!("{command} --methods={methods} --scenes={scenes} --tables\n");
+        let job = |name, count, needs_gpu, script| Job { name, count, needs_gpu, after: "afterany", script };
+        let of_cells = (!cells.is_empty()).then(|| job("cells", Some(cells.len()), needs_gpu(device), array));
+        let jobs: Vec<Job> = of_cells.into_iter().chain([job("tables", None, false, tables)]).collect();
+        let cells = cells.iter().map(|cell| cell.name() + "\n").collect();
+        Ok(write_texts(&folder, [("cells.txt", cells)])? + &write_slurm(&folder, &jobs)?)
     }
 
     /// Names of what is planned, without repetitions, with commas in between.
@@ -96,6 +78,8 @@ mod tests {
         }
         assert!(read("tables.sbatch").ends_with("'--lpips=vgg net' --methods=mcmc,dpges --scenes=truck --tables\n"));
         let submit = read("submit.sh");
-        assert!(submit.contains("afterany:$cells") && submit.contains("cells=$(sbatch --parsable cells.sbatch)"));
+        assert!(
+            submit.contains("afterany:$cells") && submit.contains("cells=$(sbatch --parsable \"$@\" cells.sbatch)")
+        );
     }
 }
