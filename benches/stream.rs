@@ -93,7 +93,7 @@ fn main() {
     let index = levels.scene().index().clone();
     let largest = index.cells.iter().filter(|cell| !cell.children.is_empty()).map(|cell| cell.primitives()).max();
     let all = counts[0] + counts[1] + largest.unwrap_or(0);
-    let path = CameraPath::load(&arguments.cameras, info.near).expect("cameras");
+    let path = CameraPath::load(&arguments.cameras, &info).expect("cameras");
     let cameras = path.keys().iter().map(|camera| sized(camera, arguments.width, arguments.height)).collect();
     let bench = Bench { headless, options: RenderOptions::from(&info), cameras };
     drop(levels);

@@ -38,10 +38,10 @@
 //! | pollster | waiting for a device without a window |
 //! | serde, serde_json | files of camera paths |
 //! | thiserror | errors |
-//! | zstd, flate2, fast-surface-nets, rayon | feature `export`: the formats, the surface of a mesh |
+//! | zstd, flate2, serde-ply, base64, percent-encoding, fast-surface-nets, rayon | feature `export`: the formats, the surface of a mesh |
 //! | ureq | feature `http`: cells of scenes in levels of detail from web servers |
 //! | eframe, egui, egui_plot, rfd, image | feature `viewer`: the window, its graph, dialogs, screenshots |
-//! | egui_kittest, gltf-json, libtest-mimic, serde-ply, safetensors, tempfile, approx | tests |
+//! | egui_kittest, gltf-json, libtest-mimic, safetensors, tempfile, approx | tests |
 
 pub mod error;
 #[cfg(feature = "export")]
@@ -68,6 +68,7 @@ mod scene;
 pub mod stream;
 mod targets;
 mod texture;
+mod up;
 #[cfg(feature = "viewer")]
 pub mod viewer;
 
@@ -79,3 +80,4 @@ pub use options::{DepthSource, Display, MAX_LAYERS, Precision, RenderOptions};
 pub use path::CameraPath;
 pub use profile::PassTime;
 pub use renderer::{Renderer, check_drawn, check_drawn_as_trained};
+pub use up::Up;

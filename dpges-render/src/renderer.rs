@@ -310,6 +310,31 @@ impl Renderer {
         (words[1] != u32::MAX && depth.is_finite()).then_some(depth)
     }
 
+    /// Depths [height, width] of the last frame: of the first surfel behind which no more than half of the light passes, world
+    /// units; 0 where there is none. `None` of scenes without layers. Waits as [`depth_at`](Self::depth_at) does.
+    pub fn median_depths(&self) -> Option<Vec<f32>> {
+        let targets = self.targets.as_ref()?;
+        let (near, layers) = self.last.filter(|(_, layers)| *layers > 0)?;
+        let read = |view: &wgpu::TextureView| {
+            texels(&self.device, &self.queue, view.texture(), wgpu::Origin3d::ZERO, targets.size)
+        };
+        let area = (targets.size.width * targets.size.height) as usize;
+        let (mut depths, mut passing) = (vec![0.0; area], vec![1.0; area]);
+        for layer in &targets.layers[..layers] {
+            let (nearest, opacity) = (read(&layer.nearest)?, read(&layer.opacity)?);
+            let texels = nearest.as_chunks::<8>().0.iter().zip(opacity.as_chunks::<2>().0);
+            for ((nearest, opacity), (depth, passing)) in texels.zip(depths.iter_mut().zip(&mut passing)) {
+                let [inverse, index] = [0, 4].map(|at| [0, 1, 2, 3].map(|byte| nearest[at + byte]));
+                if *passing > 0.5 && index != [u8::MAX; 4] {
+                    *passing *= 1.0 - half::f16::from_le_bytes(*opacity).to_f32();
+                    let here = near as f32 / f32::from_le_bytes(inverse);
+                    *depth = if *passing <= 0.5 { here } else { 0.0 };
+                }
+            }
+        }
+        Some(depths)
+    }
+
     fn prepare(&mut self, width: u32, height: u32) {
         if self.targets.as_ref().is_none_or(|targets| targets.size != size(width, height)) {
             self.targets = Some(Targets::new(&self.device, width, height, self.sums));

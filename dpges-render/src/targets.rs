@@ -45,7 +45,7 @@ impl Targets {
         let full = |format| texture(device, size, format, DRAWN_AND_READ);
         let layer = |_| Layer {
             nearest: texture(device, size, LAYER_FORMAT, DRAWN_AND_READ | Usage::COPY_SRC),
-            opacity: full(OPACITY_FORMAT),
+            opacity: texture(device, size, OPACITY_FORMAT, DRAWN_AND_READ | Usage::COPY_SRC),
         };
         Self {
             size,

@@ -12,10 +12,12 @@
 //! | burn, dpges-core | tensors, devices; the operations |
 //! | burn-wgpu | feature `gpu`: the graphics adapters of the machine |
 //! | glam | poses in f64 |
-//! | image, serde-ply | photographs; the points of nerfstudio datasets |
-//! | kamadak-exif | which camera and lens took a photograph |
+//! | exr | pictures of depth |
+//! | icu_normalizer | names with accents that systems write differently |
+//! | image, serde-ply | photographs; points in PLY files |
+//! | kamadak-exif | which camera and lens took a photograph, and how it is turned |
 //! | kiddo | nearest neighbours: point spacing, margins, splits |
-//! | nalgebra | eigenvectors: the normals of points, the axes of merged primitives |
+//! | nalgebra | eigenvectors: the normals of points, the axes of merged primitives; lenses that are fitted |
 //! | moka | pictures in memory, up to a number of bytes |
 //! | rand, rand_chacha | random numbers that a checkpoint can hold |
 //! | rayon | reading pictures, neighbours |
@@ -25,6 +27,7 @@
 //! | thiserror; miette in the binary | errors |
 //! | plotters, epaint_default_fonts, base64 | plots, their letters, pictures within a report |
 //! | humantime | durations, the date of a report |
+//! | libc | whether a signal is ignored; the end without memory (Unix) |
 //! | clap, ctrlc, indicatif, tracing, tracing-indicatif, tracing-subscriber | the command line |
 //! | mpi | feature `mpi`: processes that train one scene |
 //! | mimalloc, libmimalloc-sys | the binary's allocator, and how long it keeps freed pages |

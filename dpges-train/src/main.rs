@@ -1,13 +1,12 @@
 //! The `dpges` binary. Exit codes: 0, 1 for failure, 2 for wrong usage.
 
+use dpges_train::device::allocator::{Allocator, explain_failures};
 use libmimalloc_sys::{mi_option_set_default, mi_option_t};
 
 mod cli;
 
-/// A training step allocates and frees images of tens of megabytes; the system's allocator returns each to the kernel,
-/// which costs a quarter of the step in page faults and interrupts between cores.
 #[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+static ALLOCATOR: Allocator = Allocator;
 
 /// `mi_option_purge_delay` of mimalloc 2 and 3: after how many ms freed pages go back to the kernel, which fills them with
 /// zeros before it hands them out again.
@@ -17,5 +16,6 @@ const NEVER: std::ffi::c_long = -1;
 fn main() -> std::process::ExitCode {
     // SAFETY: there is no other thread yet. `MIMALLOC_PURGE_DELAY` prevails.
     unsafe { mi_option_set_default(PURGE_DELAY, NEVER) };
+    explain_failures();
     cli::run()
 }

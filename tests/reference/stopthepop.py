@@ -19,7 +19,7 @@ import model
 LOW_PASS = 0.3
 MAX_ALPHA = 0.99
 MIN_TRANSMITTANCE = 1e-4
-MIN_SCALE = 1e-3
+MIN_SCALE = 2.5e-4  # over the distance from the camera (StopThePop: 1e-3 world units)
 TILE, BLOCK, QUAD = 16, 4, 2
 BLOCK_QUEUE, QUAD_QUEUE, PIXEL_QUEUE = 64, 8, 4
 
@@ -68,9 +68,10 @@ class Sight:
         self.camera, self.rounding = camera, rounding
         self.means, self.conics, self.strengths = (stop_gradient(values)[rows] for values in (means, conics, strengths))
         rotation = stop_gradient(model.rotation_matrices(gaussians.quaternions))[rows]
-        scales = numpy.maximum(numpy.exp(stop_gradient(gaussians.log_scales)[rows]), MIN_SCALE)
-        self.inverse = numpy.einsum("mac,mc,mbc->mab", rotation, scales**-2, rotation)
         self.offset = stop_gradient(gaussians.positions)[rows] - model.camera_centre(camera)
+        least = MIN_SCALE * numpy.sqrt(numpy.sum(self.offset**2, axis=1, keepdims=True))
+        scales = numpy.maximum(numpy.exp(stop_gradient(gaussians.log_scales)[rows]), least)
+        self.inverse = numpy.einsum("mac,mc,mbc->mab", rotation, scales**-2, rotation)
 
     def ray(self, x, y):
         camera = self.camera
@@ -80,7 +81,7 @@ class Sight:
     def depth(self, i, ray):
         """t* of Gaussian i."""
         towards = self.inverse[i] @ ray
-        depth = towards @ self.offset[i] / max(1e-5, towards @ ray)
+        depth = towards @ self.offset[i] / (towards @ ray)
         error = self.rounding.keys.uniform(-1.0, 1.0) if self.rounding.keys else 0.0
         return depth * (1.0 + error * self.rounding.size)
 

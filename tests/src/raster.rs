@@ -8,7 +8,7 @@ use std::sync::{Arc, OnceLock};
 use dpges_core::camera::Camera;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{EnvironmentData, Footprint, MarginLookup, Rendering, SceneData};
-use dpges_render::{CameraPath, Headless, Precision, RenderError, RenderOptions};
+use dpges_render::{CameraPath, Headless, Precision, RenderError, RenderOptions, Up};
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::popping::Frame;
@@ -193,7 +193,7 @@ fn nothing_pops_along_a_path(headless: &Headless) -> Result<(), Failed> {
     let scene = joint();
     let keys: Vec<Camera> = dataset().train.iter().map(|view| view.camera.resized(96, 96)).collect();
     // a slow turn, as someone who looks around makes it
-    let path: Vec<Camera> = CameraPath::orbit(&keys)?.frames(8 * FRAMES).into_iter().take(FRAMES).collect();
+    let path: Vec<Camera> = CameraPath::orbit(&keys, Up::Z)?.frames(8 * FRAMES).into_iter().take(FRAMES).collect();
     let surfels = Renderer::new(scene, &flex());
     let best = dpges_render::Renderer::best_precision(headless.device());
     let depths = dpges_render::Renderer::best_depths(headless.device());

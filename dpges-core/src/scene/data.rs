@@ -22,6 +22,23 @@ pub struct SceneData {
     pub environment: Option<EnvironmentData>,
 }
 
+impl SceneData {
+    /// The same scene in coordinates that are those of the dataset minus `offset`.
+    #[must_use]
+    pub fn relocated(mut self, offset: [f64; 3]) -> Self {
+        if self.info.offset != offset {
+            let columns = [&mut self.surfels.positions, &mut self.gaussians.positions];
+            for position in columns.into_iter().flat_map(|column| column.as_chunks_mut::<3>().0) {
+                for (x, (from, to)) in position.iter_mut().zip(self.info.offset.iter().zip(offset)) {
+                    *x = (f64::from(*x) + from - to) as f32;
+                }
+            }
+            self.info.offset = offset;
+        }
+        self
+    }
+}
+
 macro_rules! on_the_host {
     ($data:ident) => {
         impl $data {

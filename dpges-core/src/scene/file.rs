@@ -1,6 +1,7 @@
 //! The scene file: safetensors with little-endian f32 tensors named after the fields of
 //! [`SceneData`] (`surfels.positions` [N, 3] … `gaussians.colour.detail` [M, D]) and three strings
-//! of metadata: `format` = "dpges-scene", `version` = "2", `info` = [`SceneInfo`] as JSON.
+//! of metadata: `format` = "dpges-scene", `version` = "3", `info` = [`SceneInfo`] as JSON. Files of version "2", whose
+//! info does not say what is up, are read as well.
 //!
 //! Gaussians with Student's t kernels have one tensor more, `gaussians.degrees_of_freedom` `[M]`.
 //! A scene with an environment has one tensor more, `environment` [(degree + 1)², 3]; see [`EnvironmentData`].
@@ -28,7 +29,8 @@ use crate::error::{Error, Result};
 use crate::scene::atomic::write_atomically;
 
 const FORMAT: &str = "dpges-scene";
-const VERSION: &str = "2";
+/// The info of the second says nothing of what is up.
+const VERSIONS: [&str; 2] = ["3", "2"];
 const MAX_LOBES: usize = 64;
 
 impl SceneData {
@@ -38,10 +40,18 @@ impl SceneData {
     /// [`Error::Shape`] or [`Error::NonFinite`] naming the tensor, [`Error::SceneFile`] naming the
     /// field of the info that is out of range, [`Error::Io`].
     pub fn save(&self, path: &Path) -> Result<()> {
-        let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
-        self.check_to_save(path)?;
-        let bytes = scene_file(self, self.stored(), [FORMAT, VERSION], None).map_err(wrong)?;
+        let bytes = self.to_bytes(path)?;
         write_atomically(path, |file| file.write_all(&bytes))
+    }
+
+    /// The bytes of the scene file; errors name `path`.
+    ///
+    /// # Errors
+    /// As [`save`](Self::save), without those of writing.
+    pub fn to_bytes(&self, path: &Path) -> Result<Vec<u8>> {
+        let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
+        self.validate(path)?;
+        scene_file(self, self.stored(), [FORMAT, VERSIONS[0]], None).map_err(wrong)
     }
 
     /// Reads a scene file and checks every tensor against the shapes its info asks for.
@@ -66,7 +76,10 @@ impl SceneData {
     }
 
     /// The first problem of the scene, for a file at `path`.
-    pub(super) fn check_to_save(&self, path: &Path) -> Result<()> {
+    ///
+    /// # Errors
+    /// As [`save`](Self::save).
+    pub fn validate(&self, path: &Path) -> Result<()> {
         let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
         check_info(&self.info).map_err(wrong)?;
         let models = [
@@ -128,14 +141,14 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     let file = SafeTensors::deserialize(bytes).map_err(unreadable)?;
     let metadata = header.metadata().clone().unwrap_or_default();
     let entry = |key: &str| metadata.get(key).map(String::as_str);
-    let expected = match entry("format") {
-        Some(FORMAT) => VERSION,
-        Some(compressed::FORMAT) => compressed::VERSION,
+    let versions: &[&str] = match entry("format") {
+        Some(FORMAT) => &VERSIONS,
+        Some(compressed::FORMAT) => &[compressed::VERSION],
         _ => return Err("a safetensors file, but not a dpges scene".to_owned()),
     };
     let version = entry("version").unwrap_or("(none)");
-    if version != expected {
-        return Err(format!("version {version} is unknown, expected {expected}"));
+    if !versions.contains(&version) {
+        return Err(format!("version {version} is unknown, expected {}", versions.join(" or ")));
     }
     let info = entry("info").ok_or("metadata `info` is missing")?;
     let info: SceneInfo = serde_json::from_str(info).map_err(|error| format!("metadata `info`: {error}"))?;
@@ -207,6 +220,8 @@ fn check_info(info: &SceneInfo) -> Result<(), String> {
     check("layer_count", info.layer_count > 0, info.layer_count.to_string(), "at least 1")?;
     check("background", finite(&info.background), format!("{:?}", info.background), "finite numbers")?;
     check("offset", finite(&info.offset), format!("{:?}", info.offset), "finite numbers")?;
+    let up = info.up.unwrap_or([0.0, -1.0, 0.0]);
+    check("up", finite(&up) && up != [0.0; 3], format!("{up:?}"), "a direction")?;
     check("extent", info.extent.is_finite() && info.extent >= 0.0, info.extent.to_string(), "a number of at least 0")?;
     check("near", positive(info.near), info.near.to_string(), "a positive number")
 }
@@ -234,6 +249,7 @@ mod tests {
             screen_filter: ScreenFilter::Plain,
             blend_order: BlendOrder::Rays,
             background: [0.0, 0.5, 1.0],
+            up: Some([0.0, 0.6, 0.8]),
             extent: 4.5,
             ..scene.info
         };
@@ -261,7 +277,7 @@ mod tests {
     fn metadata(scene: &SceneData) -> HashMap<String, String> {
         HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
-            ("version".to_owned(), VERSION.to_owned()),
+            ("version".to_owned(), VERSIONS[0].to_owned()),
             ("info".to_owned(), serde_json::to_string(&scene.info).unwrap()),
         ])
     }
@@ -403,8 +419,8 @@ mod tests {
         }
         assert!(load_bytes(b"ply\nformat binary_little_endian 1.0\n").contains("not a safetensors file"));
         assert!(load_bytes(&save_bytes(&good, |m| drop(m.remove("format")), "")).contains("not a dpges scene"));
-        let newer = |m: &mut HashMap<String, String>| drop(m.insert("version".into(), "3".into()));
-        assert!(load_bytes(&save_bytes(&good, newer, "")).contains("version 3 is unknown, expected 2"));
+        let newer = |m: &mut HashMap<String, String>| drop(m.insert("version".into(), "4".into()));
+        assert!(load_bytes(&save_bytes(&good, newer, "")).contains("version 4 is unknown, expected 3 or 2"));
         let no_info = |m: &mut HashMap<String, String>| drop(m.insert("info".into(), "{}".into()));
         assert!(load_bytes(&save_bytes(&good, no_info, "")).contains("`info`"));
         assert!(load_bytes(&save_bytes(&good, |_| {}, "surfels.margins")).contains("`surfels.margins` is missing"));

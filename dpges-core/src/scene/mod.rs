@@ -178,6 +178,9 @@ pub struct SceneInfo {
     pub background: [f64; 3],
     /// World units: subtract from the dataset's coordinates to get the scene's.
     pub offset: [f64; 3],
+    /// Unit vector upwards. `None` if nobody knows, as in files before version 3: then it is taken to be −y.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up: Option<[f64; 3]>,
     /// E: 1.1 × the largest distance of a training camera from their mean, world units.
     pub extent: f64,
     /// World units; cameras made for this scene use it.
@@ -213,6 +216,7 @@ impl Default for SceneInfo {
             weighted_sum: None,
             background: [0.0; 3],
             offset: [0.0; 3],
+            up: None,
             extent: 1.0,
             near: 0.01,
         }

@@ -23,7 +23,8 @@ pub struct SplatCloud {
     /// [N, (degree + 1)², 3] coefficients of spherical harmonics: those of a splat together, red, green and blue of one
     /// together. A colour is `0.5 + Σ k_i Y_i`.
     pub harmonics: Vec<f32>,
-    /// The scene's. Its colour model and its rendering are not those of the cloud.
+    /// The scene's: where it is, what is up, and the filter that the splats are made for. Rendered as discs, the last axis
+    /// does not matter.
     pub info: SceneInfo,
 }
 
@@ -47,8 +48,9 @@ impl SplatCloud {
         self.harmonics[row * width..(row + 1) * width].as_chunks::<3>().0
     }
 
-    /// The cloud as a scene of [`Rendering::Ellipsoids`], which our own sorted blending renders.
+    /// The cloud as a scene of [`Rendering::Ellipsoids`] or discs, which our own sorted blending renders.
     pub fn to_scene(&self) -> SceneData {
+        let rendering = if self.info.rendering == Rendering::Discs { Rendering::Discs } else { Rendering::Ellipsoids };
         let model = ColourModel::SphericalHarmonics { degree: self.degree };
         let rows = || (0..self.len()).map(|row| self.harmonics_of(row));
         let colour = ColourData::new(
@@ -57,7 +59,7 @@ impl SplatCloud {
             rows().flat_map(|k| k[1..].as_flattened()).copied().collect(),
         );
         SceneData {
-            info: SceneInfo { colour_model: model, rendering: Rendering::Ellipsoids, ..self.info.clone() },
+            info: SceneInfo { colour_model: model, rendering, ..self.info.clone() },
             surfels: SurfelData::neutral(model, 0),
             gaussians: GaussianData {
                 positions: self.positions.as_flattened().to_vec(),
@@ -118,7 +120,13 @@ pub(super) mod tests {
             opacities: rows().map(|row| 0.5 + 0.45 * value(row, 8)).collect(),
             degree,
             harmonics: rows().flat_map(|row| (0..width).map(move |i| 0.6 * value(row, 20 + i))).collect(),
-            info: SceneInfo { offset: [100.0, -20.5, 3.0], ..SceneInfo::default() },
+            info: SceneInfo {
+                offset: [100.0, -20.5, 3.0],
+                up: Some([0.0, 1.0, 0.0]),
+                colour_model: ColourModel::SphericalHarmonics { degree },
+                rendering: Rendering::Ellipsoids,
+                ..SceneInfo::default()
+            },
         }
     }
 

@@ -22,11 +22,13 @@ pub enum ExportError {
     TooFar { found: f64, limit: f64 },
     #[error("{count} splats are more than the format can count, at most {limit}")]
     TooMany { count: usize, limit: usize },
+    #[error("voxels of {voxel} world units are too small for this scene: it needs more than {limit}; use larger ones")]
+    TooManyVoxels { voxel: f64, limit: usize },
     #[error(
-        "voxels of {voxel} world units are too small for this scene: the surfaces of {views} views need more than \
-         {limit} voxels; use larger ones"
+        "voxels of {voxel} world units are too small for this scene: there is memory for {limit}; the smallest that fit are of \
+         {smallest} world units"
     )]
-    TooManyVoxels { voxel: f64, views: usize, limit: usize },
+    SmallestVoxel { voxel: f64, smallest: f64, limit: usize },
     #[error("a voxel of {found} world units is none: use a positive, finite number")]
     Voxel { found: f64 },
     #[error("a view has {found} numbers of {what}, expected {expected} for its {width} × {height} pixels")]

@@ -21,7 +21,7 @@
 //! Colours become spherical harmonics (exactly, if they are; else see the module `harmonics`). Discs and ellipsoids of a
 //! scene that is blended already stay what they are.
 
-use dpges_core::scene::{GaussianData, Rendering, SceneData};
+use dpges_core::scene::{BlendOrder, ColourModel, GaussianData, Rendering, SceneData, SceneInfo};
 
 use super::cloud::SplatCloud;
 use super::error::ExportError;
@@ -54,7 +54,13 @@ pub fn flatten(scene: &SceneData, degree: usize) -> Result<SplatCloud, ExportErr
     }
     let count = scene.surfels.len() + scene.gaussians.len();
     let harmonics = Vec::with_capacity(3 * coefficient_count(degree) * count);
-    let mut cloud = SplatCloud { degree, harmonics, info: scene.info.clone(), ..SplatCloud::default() };
+    let info = SceneInfo {
+        colour_model: ColourModel::SphericalHarmonics { degree },
+        rendering: Rendering::Ellipsoids,
+        blend_order: BlendOrder::Centres,
+        ..scene.info.clone()
+    };
+    let mut cloud = SplatCloud { degree, harmonics, info, ..SplatCloud::default() };
     let sigma = (2.0 * scene.info.modulation.max(1.0).ln()).sqrt() / OPAQUE_RADIUS_SIGMAS;
     let widen = sigma.ln() as f32;
     for (row, scales) in scene.surfels.log_scales.as_chunks::<2>().0.iter().enumerate() {
@@ -136,7 +142,7 @@ fn row_of<const W: usize>(values: &[f32], row: usize) -> [f32; W] {
 
 #[cfg(test)]
 mod tests {
-    use dpges_core::scene::{ColourModel, SceneInfo, SurfelData};
+    use dpges_core::scene::SurfelData;
 
     use super::*;
 

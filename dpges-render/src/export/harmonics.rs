@@ -70,6 +70,18 @@ pub(super) fn coefficients(colour: &ColourData, row: usize) -> Coefficients {
     fit
 }
 
+/// `colour` as harmonics of `degree`, up to [`MAX_DEGREE`]: exactly if they are, else lobes by least squares.
+pub fn to_harmonics(colour: &ColourData, degree: usize) -> ColourData {
+    let kept = coefficient_count(degree);
+    let rows: Vec<Coefficients> = (0..colour.base.len() / 3).map(|row| coefficients(colour, row)).collect();
+    let numbers = |k: &[[f64; 3]]| k.as_flattened().iter().map(|&k| k as f32).collect::<Vec<_>>();
+    ColourData::new(
+        ColourModel::SphericalHarmonics { degree },
+        rows.iter().flat_map(|k| numbers(&k[..1])).collect(),
+        rows.iter().flat_map(|k| numbers(&k[1..kept])).collect(),
+    )
+}
+
 fn add_lobe(fit: &mut Coefficients, [red, green, blue, theta, phi, beta]: [f64; LOBE_LEN]) {
     let rgb = [red, green, blue].map(softplus);
     let weights = lobe_weights(4.0 * beta.min(LARGEST_BETA).exp());

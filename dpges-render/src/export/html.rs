@@ -61,7 +61,7 @@ pub struct Page<'a> {
     pub title: &'a str,
     /// A picture in the JPEG format, shown until the scene has been loaded.
     pub poster_jpeg: Option<&'a [u8]>,
-    /// In the scene's coordinates. The page starts at the first and takes its up direction from all.
+    /// In the scene's coordinates. The page starts at the first, and takes its up direction from all if the scene has none.
     pub cameras: &'a [Camera],
 }
 
@@ -219,7 +219,7 @@ mod tests {
         ] {
             assert!(index.contains(part), "{part}");
         }
-        let cameras = CameraPath::load(&folder.join(CAMERAS), 0.5).unwrap();
+        let cameras = CameraPath::load(&folder.join(CAMERAS), &scene().info).unwrap();
         assert!((cameras.keys()[0].centre() - camera.centre()).length() < 1e-12, "{cameras:?}");
         assert_eq!((cameras.keys()[0].fx, cameras.keys()[0].width), (50.0, 64));
         // beside the index of levels of detail

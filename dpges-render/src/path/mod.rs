@@ -1,5 +1,6 @@
 //! Camera paths: key cameras, and what lies between them.
 
+mod extent;
 mod json;
 mod shapes;
 mod size;
@@ -7,7 +8,8 @@ mod size;
 use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::{DMat3, DQuat, DVec3};
 
-pub use json::PathError;
+pub use extent::Extent;
+pub use json::{NamedCamera, PathError, in_scene, load_cameras};
 pub use size::Size;
 
 /// A smooth way through key cameras: Catmull–Rom splines through their centres, the shortest turns between their

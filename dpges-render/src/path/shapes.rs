@@ -6,14 +6,17 @@ use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::{DMat3, DVec3};
 
 use super::{CameraPath, PathError};
+use crate::percentile::percentiles;
+use crate::up::Up;
 
 const KEYS: usize = 24;
+/// Cameras farther than so many times the median distance from the median of all are astray.
+const ASTRAY: f64 = 20.0;
 
 /// Where cameras stand and what they look at.
 struct Surroundings {
     /// The point nearest to all viewing axes.
     focus: DVec3,
-    /// Mean of what is up in the pictures.
     up: DVec3,
     middle: DVec3,
     /// Mean distance of the centres from the focus.
@@ -21,15 +24,20 @@ struct Surroundings {
 }
 
 impl Surroundings {
-    fn new(cameras: &[Camera]) -> Self {
+    fn new(cameras: &[Camera], up: Up) -> Self {
+        let median = |values: Vec<f64>| percentiles(values, [0.5]).map_or(0.0, |[median]| median);
+        let along = |axis: usize| median(cameras.iter().map(|camera| camera.centre()[axis]).collect());
+        let amid = DVec3::new(along(0), along(1), along(2));
+        let far = |camera: &Camera| (camera.centre() - amid).length();
+        let farthest = ASTRAY * median(cameras.iter().map(far).collect());
+        let cameras: Vec<&Camera> = cameras.iter().filter(|camera| far(camera) <= farthest).collect();
         let count = cameras.len() as f64;
         let axis = |camera: &Camera, row: usize| camera.camera_from_world.rotation.row(row);
-        let middle = cameras.iter().map(Camera::centre).sum::<DVec3>() / count;
-        let up = -cameras.iter().map(|camera| axis(camera, 1)).sum::<DVec3>();
+        let middle = cameras.iter().map(|camera| camera.centre()).sum::<DVec3>() / count;
         // Σ (I − d dᵀ) (x − c) = 0, held at the mean distance along the axes where they are parallel
         let mut across = DMat3::ZERO;
         let mut right = DVec3::ZERO;
-        for camera in cameras {
+        for camera in &cameras {
             let forward = axis(camera, 2);
             let outer = DMat3::from_cols(forward * forward.x, forward * forward.y, forward * forward.z);
             let project = DMat3::IDENTITY - outer;
@@ -41,7 +49,7 @@ impl Surroundings {
         let slight = 1e-3 * count;
         let focus = (across + DMat3::from_diagonal(DVec3::splat(slight))).inverse() * (right + slight * ahead);
         let distance = cameras.iter().map(|camera| (camera.centre() - focus).length()).sum::<f64>() / count;
-        Self { focus, up: up.try_normalize().unwrap_or(DVec3::Z), middle, distance }
+        Self { focus, up: up.direction(), middle, distance }
     }
 
     /// Two directions at right angles to up; the first points from the focus to the middle of the cameras.
@@ -58,14 +66,14 @@ fn looking(camera: &Camera, eye: DVec3, target: DVec3, up: DVec3) -> Camera {
 }
 
 impl CameraPath {
-    /// A circle around what `cameras` look at, as far from it and as high as they are on average, with the lens and
+    /// A level circle around what `cameras` look at, as far from it and as high as they are on average, with the lens and
     /// size of the first.
     ///
     /// # Errors
     /// [`PathError::Empty`] without cameras.
-    pub fn orbit(cameras: &[Camera]) -> Result<Self, PathError> {
+    pub fn orbit(cameras: &[Camera], up: Up) -> Result<Self, PathError> {
         let first = cameras.first().ok_or(PathError::Empty)?;
-        let around = Surroundings::new(cameras);
+        let around = Surroundings::new(cameras, up);
         let [x, y] = around.level();
         let height = (around.middle - around.focus).dot(around.up).clamp(-0.9 * around.distance, 0.9 * around.distance);
         let radius = (around.distance * around.distance - height * height).sqrt();
@@ -82,9 +90,9 @@ impl CameraPath {
     ///
     /// # Errors
     /// [`PathError::Empty`] without cameras.
-    pub fn spiral(cameras: &[Camera]) -> Result<Self, PathError> {
+    pub fn spiral(cameras: &[Camera], up: Up) -> Result<Self, PathError> {
         let first = cameras.first().ok_or(PathError::Empty)?;
-        let around = Surroundings::new(cameras);
+        let around = Surroundings::new(cameras, up);
         let forward = (around.focus - around.middle).try_normalize().unwrap_or(DVec3::X);
         let right = forward.cross(around.up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
         let up = right.cross(forward);
@@ -114,12 +122,16 @@ mod tests {
     }
 
     #[test]
-    fn an_orbit_keeps_its_distance_and_looks_at_the_middle() {
-        let path = CameraPath::orbit(&ring()).unwrap();
+    fn an_orbit_is_level_keeps_its_distance_and_looks_at_the_middle() {
+        let mut cameras = ring();
+        let astray = CameraFromWorld::look_at(DVec3::new(3e4, 0.0, 1.0), DVec3::Y, DVec3::X);
+        cameras.push(Camera { camera_from_world: astray, ..cameras[0] });
+        let path = CameraPath::orbit(&cameras, Up::Z).unwrap();
         for frame in path.frames(50) {
             let centre = frame.centre();
             assert!((centre.length() - 10f64.sqrt()).abs() < 0.01, "{centre}");
             assert!((centre.z - 1.0).abs() < 0.01, "{centre}");
+            assert!(frame.camera_from_world.rotation.row(0).z.abs() < 1e-2, "it tilts");
             let (x, y, _) = frame.project(DVec3::ZERO).unwrap();
             assert!((x - 32.0).abs() < 0.2 && (y - 24.0).abs() < 0.2, "{x} {y}");
         }
@@ -133,7 +145,7 @@ mod tests {
             camera_from_world: cameras[0].camera_from_world.recentred(DVec3::new(0.1, 0.0, 0.0)),
             ..cameras[0]
         });
-        let path = CameraPath::spiral(&cameras).unwrap();
+        let path = CameraPath::spiral(&cameras, Up::Z).unwrap();
         for frame in path.frames(40) {
             assert!(frame.camera_from_world.translation.is_finite());
             assert!((frame.centre() - cameras[0].centre()).length() < 2.0);

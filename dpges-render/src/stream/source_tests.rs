@@ -5,6 +5,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 
+use dpges_core::scene::SceneInfo;
 use dpges_core::scene::lod::{CAMERAS, Index};
 
 use super::fixtures::{filled, forest, write};
@@ -79,7 +80,7 @@ fn parts_come_by_ranges_of_bytes() {
     let cameras = |place: &Path| Levels::open(place, 1000).unwrap().cameras().to_vec();
     assert!(cameras(address.as_ref()).is_empty(), "there is no such file");
     let kept = [camera([4.0, 0.0, 1.0], 50.0), camera([0.0, 4.0, 1.5], 60.0)];
-    CameraPath::new(kept.to_vec(), false).unwrap().save(&folder.path().join(CAMERAS)).unwrap();
+    CameraPath::new(kept.to_vec(), false).unwrap().save(&folder.path().join(CAMERAS), &SceneInfo::default()).unwrap();
     for place in [folder.path(), address.as_ref()] {
         let found = cameras(place);
         assert_eq!(found.iter().map(|camera| camera.fx).collect::<Vec<_>>(), kept.map(|camera| camera.fx));

@@ -39,7 +39,9 @@ impl Dialogs {
     pub fn ask(&mut self, purpose: Purpose, file_name: &str, wake: impl Fn() + Send + 'static) {
         let dialog = rfd::AsyncFileDialog::new();
         let question: std::pin::Pin<Box<dyn Future<Output = Option<rfd::FileHandle>> + Send>> = match purpose {
-            Purpose::OpenScene => Box::pin(dialog.add_filter("scenes", &["safetensors"]).pick_file()),
+            Purpose::OpenScene => {
+                Box::pin(dialog.add_filter("scenes", &["safetensors", "ply", "spz", "glb", "gltf"]).pick_file())
+            }
             Purpose::OpenRun => Box::pin(dialog.pick_folder()),
             Purpose::LoadPath => Box::pin(dialog.add_filter("camera paths", &["json"]).pick_file()),
             Purpose::SavePath | Purpose::SaveScreenshot => Box::pin(dialog.set_file_name(file_name).save_file()),

@@ -7,6 +7,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 
 use super::views::{DatasetViews, Views};
+use crate::export;
 use crate::stream::{DEFAULT_BUDGET, Levels, is_lod};
 
 const SCENE_OF_RUN: &str = "scene.safetensors";
@@ -42,15 +43,15 @@ impl Opened {
 /// Reads a scene file or the folder of a run; the error is what the window says.
 pub type Opener = Arc<dyn Fn(&Path) -> Result<Opened, String> + Send + Sync>;
 
-/// Reads the scene file, or that of the run, without views, or opens the scene in levels of detail.
+/// Reads the scene file or the splats, or the scene of the run, without views, or opens the scene in levels of detail.
 pub fn open_scene(path: &Path) -> Result<Opened, String> {
     if is_lod(path) {
         let levels = Levels::open(path, DEFAULT_BUDGET).map_err(|error| error.to_string())?;
         return Ok(Opened::levels(levels, Views::None));
     }
     let file = if path.is_dir() { path.join(SCENE_OF_RUN) } else { path.to_owned() };
-    let scene = SceneData::load(&file).map_err(|error| error.to_string())?;
-    Ok(Opened::whole(scene, Views::None))
+    let opened = export::open(&file).map_err(|error| error.to_string())?;
+    Ok(Opened::whole(opened.scene, Views::None))
 }
 
 #[cfg(test)]
@@ -80,7 +81,7 @@ mod tests {
         write(folder.path(), forest(1, 1), |index, cell| filled(index, cell, [5, 50 + cell]));
         assert!(matches!(open_scene(folder.path()).unwrap().views, Views::None));
         let cameras = vec![camera([4.0, 0.0, 1.0], 50.0), camera([0.0, 4.0, 1.5], 60.0)];
-        CameraPath::new(cameras, false).unwrap().save(&folder.path().join(CAMERAS)).unwrap();
+        std::fs::write(folder.path().join(CAMERAS), CameraPath::new(cameras, false).unwrap().to_json()).unwrap();
         let Views::Ready(views) = open_scene(folder.path()).unwrap().views else { panic!("there are two cameras") };
         let names: Vec<&str> = views.cameras.iter().map(|(name, _)| &**name).collect();
         assert_eq!(names, ["view 1", "view 2"]);

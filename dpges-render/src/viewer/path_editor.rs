@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use dpges_core::camera::Camera;
+use dpges_core::scene::SceneInfo;
 
 use crate::path::{CameraPath, PathError};
 
@@ -62,13 +63,14 @@ impl PathEditor {
         CameraPath::new(self.cameras.clone(), false)
     }
 
-    pub fn save(&self, path: &Path) -> Result<(), PathError> {
-        self.path()?.save(path)
+    /// `info` is that of the scene.
+    pub fn save(&self, path: &Path, info: &SceneInfo) -> Result<(), PathError> {
+        self.path()?.save(path, info)
     }
 
-    /// Takes the key cameras of a file; `near` is the near plane, world units, of those that have none.
-    pub fn load(&mut self, path: &Path, near: f64) -> Result<(), PathError> {
-        self.cameras = CameraPath::load(path, near)?.keys().to_vec();
+    /// Takes the key cameras of a file for the scene of `info`.
+    pub fn load(&mut self, path: &Path, info: &SceneInfo) -> Result<(), PathError> {
+        self.cameras = CameraPath::load(path, info)?.keys().to_vec();
         self.playing = None;
         Ok(())
     }
@@ -122,12 +124,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("path.json");
         let saved = editor(3);
-        saved.save(&file).unwrap();
+        let info = SceneInfo::default();
+        saved.save(&file, &info).unwrap();
         let mut loaded = PathEditor::default();
-        loaded.load(&file, 0.1).unwrap();
+        loaded.load(&file, &info).unwrap();
         assert_eq!(order(&loaded), order(&saved));
-        assert!(loaded.load(&folder.path().join("absent.json"), 0.1).is_err());
+        assert!(loaded.load(&folder.path().join("absent.json"), &info).is_err());
         assert_eq!(loaded.cameras.len(), 3, "the old path stays");
-        assert!(PathEditor::default().save(&file).is_err());
+        assert!(PathEditor::default().save(&file, &info).is_err());
     }
 }

@@ -14,17 +14,16 @@ use super::frame_times::FrameTimes;
 use super::live::LiveScene;
 use super::measuring::Measuring;
 use super::messages::Message;
-use super::navigation::{Extent, Lens, Navigator, Surroundings, Viewpoint, mean_up};
+use super::navigation::{Navigator, Surroundings, Viewpoint};
 use super::path_editor::PathEditor;
 use super::pending::Pending;
 use super::resolution::ResolutionControl;
 use super::screenshot::{ScreenshotForm, save_png, unused};
 use super::views::DatasetViews;
+use crate::path::Extent;
 use crate::stream::{Levels, StreamStatus};
+use crate::up::Up;
 use crate::{Display, RenderError, RenderOptions};
-
-/// Field of view where no camera gives one, rad.
-const FIELD_OF_VIEW: f64 = 0.9;
 
 pub struct ShownScene {
     pub name: String,
@@ -73,14 +72,19 @@ pub struct State {
     pub stream: Option<StreamStatus>,
 }
 
+/// A view of the whole, turning about its middle.
+fn overview(extent: &Extent, up: glam::DVec3, near: f64) -> Viewpoint {
+    let camera = extent.overview(up, near, [1; 2]);
+    Viewpoint::of(&camera, camera.depth(extent.centre))
+}
+
 impl State {
     /// Nothing yet.
     pub fn new(gpu: Option<&RenderState>) -> Result<Self, RenderError> {
         let info = SceneInfo::default();
-        let lens = Lens { vertical_field_of_view: FIELD_OF_VIEW, near: info.near };
         let surroundings = Surroundings { up: glam::DVec3::NEG_Y, size: 1.0 };
         let nothing = SceneData { surfels: Default::default(), gaussians: Default::default(), environment: None, info };
-        let home = Extent::of(&nothing).overview(lens, surroundings.up);
+        let home = overview(&Extent::of(&nothing), surroundings.up, nothing.info.near);
         Ok(Self {
             canvas: gpu.map(Canvas::new).transpose()?,
             scene: None,
@@ -167,15 +171,13 @@ impl State {
 
     pub fn settle_in(&mut self, shown: &ShownScene) {
         let cameras = self.views.iter().flat_map(|views| &views.cameras).map(|(_, camera)| camera);
-        let up = mean_up(cameras);
+        let of_cameras = if shown.info.up.is_none() { Up::of_cameras(cameras) } else { None };
+        let up = of_cameras.unwrap_or(Up::of(&shown.info)).direction();
         self.navigator.surroundings = Surroundings { up, size: shown.extent.radius };
         let first = self.views.as_ref().and_then(|views| views.cameras.first());
         self.home = match first {
-            Some((_, camera)) => shown.extent.seen_from(camera),
-            None => {
-                let lens = Lens { vertical_field_of_view: FIELD_OF_VIEW, near: shown.info.near };
-                shown.extent.overview(lens, up)
-            }
+            Some((_, camera)) => Viewpoint::of(camera, shown.extent.depth_before(camera)),
+            None => overview(&shown.extent, up, shown.info.near),
         };
         self.at_view = first.map(|_| 0);
         self.chosen_view = self.at_view;
@@ -185,7 +187,7 @@ impl State {
     pub fn go_to_view(&mut self, index: usize, at_once: bool) {
         let (Some(views), Some(shown)) = (&self.views, &self.scene) else { return };
         let Some((_, camera)) = views.cameras.get(index) else { return };
-        let viewpoint = shown.extent.seen_from(camera);
+        let viewpoint = Viewpoint::of(camera, shown.extent.depth_before(camera));
         self.path.stop();
         if at_once {
             self.navigator.jump(viewpoint);
@@ -228,17 +230,21 @@ impl State {
         }
     }
 
+    fn info(&self) -> SceneInfo {
+        self.scene.as_ref().map_or_else(SceneInfo::default, |shown| shown.info.clone())
+    }
+
     pub fn save_path(&mut self) {
         let file = PathBuf::from(&self.path.file);
         let note = |()| format!("{} cameras in {}", self.path.cameras.len(), absolute(&file));
-        let saved = self.path.save(&file).map(note).map_err(|error| error.to_string());
+        let saved = self.path.save(&file, &self.info()).map(note).map_err(|error| error.to_string());
         self.message = Some(saved.into());
     }
 
     pub fn load_path(&mut self) {
-        let near = self.navigator.viewpoint().lens.near;
+        let info = SceneInfo { near: self.navigator.viewpoint().lens.near, ..self.info() };
         let file = PathBuf::from(&self.path.file);
-        self.message = self.path.load(&file, near).err().map(|error| Message::Error(error.to_string()));
+        self.message = self.path.load(&file, &info).err().map(|error| Message::Error(error.to_string()));
     }
 
     /// Writes what the view shows, beside files that are there already.

@@ -203,7 +203,7 @@ function reset() {
 function upDirection() {
   const axes = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
   const name = settings.up.value;
-  if (!name) return upOf(firstCameras);
+  if (!name) return scene.up ?? upOf(firstCameras);
   return axes[name.at(-1)].map((value) => (name.startsWith("-") ? -value : value));
 }
 

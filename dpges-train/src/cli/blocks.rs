@@ -14,13 +14,13 @@ use dpges_train::device::place::Place;
 use dpges_train::device::ranks::Job;
 use dpges_train::run::child::end_with_the_other;
 use dpges_train::run::folder::Origin;
+use dpges_train::run::interrupts;
 use dpges_train::run::jobs::State;
 use dpges_train::run::{Run, SavedRun};
 
 use super::data::Source;
 use super::device_choice::{DeviceArgs, watched};
 use super::logging::LogStyle;
-use super::train::display::watch_for_interrupts;
 use super::train::options::ConfigArgs;
 use super::train::session::Session;
 use super::train::{give_up, say_resumed};
@@ -124,7 +124,7 @@ fn work(args: &StepArgs, style: LogStyle, steps: impl Fn(&Capture) -> Vec<Step>)
     let job = Job::join()?;
     let all = || -> Result<()> {
         let mut capture = Capture::open(&args.dir)?;
-        let interrupted = watch_for_interrupts()?;
+        let interrupted = interrupts::watch()?;
         for step in steps(&capture) {
             Worker { capture: &mut capture, job: &job, device: args.device.request, style }.work(step, &interrupted)?;
         }

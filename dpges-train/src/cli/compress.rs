@@ -13,10 +13,11 @@ use dpges_train::dataset::View;
 use dpges_train::eval::compress::report::{Psnr, Report};
 use dpges_train::eval::compress::{Goal, Measure};
 use dpges_train::eval::evaluate;
+use dpges_train::run::folder::hold_file;
 
 use super::data::{Scene, Source, Split, ViewArgs, every_nth};
 use super::device_choice::{DeviceArgs, watched};
-use super::{Failure, Result, print_report, table};
+use super::{Failure, Result, hold_report, print_report, table};
 
 /// Most views that decide on a loss.
 const DECIDING_VIEWS: usize = 32;
@@ -29,7 +30,7 @@ const DECIDING_VIEWS: usize = 32;
 #[derive(Debug, Args)]
 #[command(mut_arg("split", |split| split.help("Which views [default: test; with a largest loss validation, or train]")))]
 pub struct CompressArgs {
-    /// Scene file or folder of a run
+    /// Scene file, splats (PLY, SPZ, glTF) or folder of a run
     scene: PathBuf,
     /// File to write
     #[arg(long, value_name = "FILE")]
@@ -83,6 +84,15 @@ fn decibels(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: &CompressArgs) -> Result<()> {
+    let ending = args.out.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    if ["ply", "spz", "glb", "gltf"].contains(&&*ending) {
+        let message = format!(
+            "--out {} says .{ending}: a scene file is written; `dpges export` writes splats",
+            args.out.display()
+        );
+        return Err(Failure::Usage(message));
+    }
+    let _held = (hold_file(&args.out)?, hold_report(args.json.as_deref())?);
     let mut scene = Scene::load(&args.scene)?;
     if is_same_file(&args.out, &scene.path) {
         let message = format!("--out is the scene itself, {}: name another file", scene.path.display());

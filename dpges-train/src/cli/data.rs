@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use dpges_train::config::{Background, key};
+use dpges_train::config::{Background, Upwards, key};
 pub use dpges_train::dataset::Split;
 pub use dpges_train::dataset::source::Source;
 pub use dpges_train::run::scene::{Reading, Scene, every_nth, in_scene};
@@ -14,6 +14,8 @@ use dpges_train::run::view_choice::ViewChoice;
 pub struct DataArgs {
     #[arg(long, value_name = "COLOUR", help = key("data.background").help())]
     pub background: Option<Background>,
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true, help = key("data.up").help())]
+    pub up: Option<Upwards>,
     #[arg(long, value_name = "N", help = key("data.image_scale").help())]
     pub image_scale: Option<u32>,
     #[arg(long, value_name = "PX", help = key("data.max_resolution").help())]
@@ -35,6 +37,7 @@ impl DataArgs {
     pub fn assignments(&self) -> Vec<String> {
         assigned([
             ("data.background", self.background.map(|background| background.to_string())),
+            ("data.up", self.up.map(|up| up.to_string())),
             ("data.image_scale", self.image_scale.map(|scale| scale.to_string())),
             ("data.max_resolution", self.max_resolution.map(|px| px.to_string())),
             ("data.test_every", self.test_every.map(|every| every.to_string())),
@@ -43,7 +46,7 @@ impl DataArgs {
     }
 
     pub fn reading(&self) -> Reading {
-        Reading { background: self.background, assignments: self.assignments() }
+        Reading { background: self.background, up: self.up, assignments: self.assignments() }
     }
 }
 

@@ -1,9 +1,9 @@
 //! `dpges eval`: image quality of a scene against photographs.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use dpges_core::scene::atomic::make_folder;
 use dpges_train::device::DeviceName;
 use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::eval::pictures::{file_stems, save_png};
@@ -11,11 +11,12 @@ use dpges_train::eval::popping::{Measured, arc};
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::eval::worst;
 use dpges_train::eval::{EvalReport, FrameMs, Measures, evaluate_each};
+use dpges_train::run::hold::Hold;
 
 use super::data::{Scene, ViewArgs};
 use super::device_choice::{DeviceArgs, watched};
 use super::lpips::LpipsArgs;
-use super::{Result, print_report, table};
+use super::{Result, hold_report, print_report, table};
 
 /// Measure PSNR, SSIM, FLIP, MS-SSIM, SSIMULACRA2 and LPIPS of a scene against photographs
 ///
@@ -24,7 +25,7 @@ use super::{Result, print_report, table};
 /// LPIPS without a network.
 #[derive(Debug, Args)]
 pub struct EvalArgs {
-    /// Scene file or folder of a run
+    /// Scene file, splats (PLY, SPZ, glTF) or folder of a run
     scene: PathBuf,
     #[command(flatten)]
     views: ViewArgs,
@@ -62,6 +63,9 @@ pub struct EvalArgs {
 }
 
 pub fn run(args: &EvalArgs) -> Result<()> {
+    let folders: BTreeSet<&PathBuf> = args.save_images.iter().chain(&args.worst).collect();
+    let holds = folders.into_iter().map(|folder| Hold::of_folder(folder));
+    let _held = (holds.collect::<Result<Vec<_>, _>>()?, hold_report(args.json.as_deref())?);
     let scene = Scene::load(&args.scene)?;
     let device = args.device.select()?;
     watched(device, || measure(args, scene, device))
@@ -75,10 +79,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     let (source, dataset) = choice.load_dataset(&mut scene)?;
     let views = choice.chosen(&dataset);
     let path = args.popping.then(|| arc(&dataset, &scene.data.info)).transpose()?;
-    for folder in args.save_images.iter().chain(&args.worst) {
-        make_folder(folder)?;
-    }
-    let stems = file_stems(views);
+    let stems = file_stems(views.iter().map(|view| &*view.name));
     let renderer = Renderer::new(&scene.data, &device);
     let fitted = args.fit_exposure || scene.has_exposure();
     let measures = Measures { fitted, posed: args.fit_poses, ..Measures::perceptual(&networks) };

@@ -4,15 +4,16 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use clap::Args;
-use dpges_core::scene::atomic::{make_folder, write_atomically};
+use dpges_core::scene::atomic::write_atomically;
 use dpges_train::config::Config;
 use dpges_train::dataset::capture;
 use dpges_train::dataset::check::{Effort, Report, map, sheet, summary};
 use dpges_train::eval::pictures::save_png;
 use dpges_train::run::folder::write_json;
+use dpges_train::run::hold::Hold;
 
 use super::data::{DataArgs, Source};
-use super::{Result, print, sfm, table};
+use super::{Result, hold_report, print, sfm, table};
 use crate::cli::logging::LogStyle;
 
 /// Check a dataset: what it consists of, and which photographs will harm the result
@@ -35,6 +36,7 @@ pub struct InspectArgs {
 }
 
 pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
+    let _held = (args.out.as_deref().map(Hold::of_folder).transpose()?, hold_report(args.json.as_deref())?);
     let config = Config::resolve_data(None, &args.options.assignments())?;
     let options = capture::Options { invert_masks: config.invert_masks, ..capture::Options::default() };
     sfm::prepare(Some(&args.dataset), &options, style)?;
@@ -45,13 +47,13 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     rows.extend(summary::rows(&dataset, &report));
     let findings: String = report.findings.iter().map(|finding| format!("! {finding}\n")).collect();
     let findings = if findings.is_empty() { "Nothing is wrong with it.\n" } else { &findings };
+    let notes: String = report.notes.iter().map(|note| format!("  {note}\n")).collect();
     let note = "Numbers are medians, with the 5th and 95th percentile.";
-    print(&format!("{}\n{note}\n\n{findings}", table(&rows)))?;
+    print(&format!("{}\n{note}\n\n{notes}{findings}", table(&rows)))?;
     if let Some(path) = &args.json {
         write_json(path, &report)?;
     }
     if let Some(out) = &args.out {
-        make_folder(out)?;
         let (sheet, map) = (out.join("contact_sheet.png"), out.join("cameras.svg"));
         save_png(&sheet::contact_sheet(&dataset, &report)?, &sheet)?;
         write_atomically(&map, |file| file.write_all(map::svg(&dataset, &report).as_bytes()))?;

@@ -37,8 +37,10 @@ use dpges_train::dataset::source::SourceError;
 use dpges_train::device::ranks::launched;
 use dpges_train::eval::video::VideoError;
 use dpges_train::metrics::lpips::choice::ChoiceError;
-use dpges_train::run::folder::write_json;
+use dpges_train::run::folder::{hold_file, write_json};
+use dpges_train::run::hold::Hold;
 use dpges_train::run::scene::SceneError;
+use dpges_train::run::shots::ShotsError;
 use miette::{Diagnostic, MietteHandlerOpts, Report};
 use serde::Serialize;
 
@@ -109,6 +111,11 @@ fn is_usage(error: &(dyn std::error::Error + 'static)) -> bool {
             SceneError::Source(error) => is_usage(error),
             _ => false,
         };
+    }
+    match error.downcast_ref::<ShotsError>() {
+        Some(ShotsError::Scene(error)) => return is_usage(error),
+        Some(ShotsError::Ignored { .. }) => return true,
+        _ => {}
     }
     matches!(error.downcast_ref(), Some(SourceError::OneScale | SourceError::Change(_)))
         || matches!(error.downcast_ref(), Some(ChoiceError::NoneAndOthers | ChoiceError::Twice { .. }))
@@ -203,6 +210,11 @@ pub fn print(text: &str) -> Result<()> {
 /// Prints JSON to standard output.
 pub fn print_json(value: &impl Serialize) -> Result<()> {
     print(&format!("{}\n", serde_json::to_string_pretty(value)?))
+}
+
+/// Holds the file that a report goes to, if it does, before what is reported is done.
+pub fn hold_report(file: Option<&Path>) -> Result<Option<Hold>> {
+    Ok(file.filter(|file| *file != Path::new("-")).map(hold_file).transpose()?.flatten())
 }
 
 /// Prints `text` for people, and writes `report` as JSON to `file`. If that is `-`, the report goes to standard output, and the

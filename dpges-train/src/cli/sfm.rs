@@ -23,7 +23,7 @@ use crate::cli::logging::LogStyle;
 /// finished stays as it is. RAYON_NUM_THREADS limits the threads of the programs.
 #[derive(Debug, Args)]
 pub struct SfmArgs {
-    /// Folder of JPEGs and PNGs, or of a folder `images` or `input` with them; or a video
+    /// Folder of JPEGs, PNGs and WebPs, or of a folder `images` or `input` with them; or a video
     photographs: PathBuf,
     /// Folder of the dataset [default: NAME_colmap, beside the photographs or the video]
     #[arg(long, value_name = "DIR")]
@@ -74,7 +74,7 @@ fn frames(text: &str) -> Result<usize, String> {
 }
 
 pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
-    let input = photographs(&args.photographs).ok_or_else(|| not_photographs(&args.photographs))?;
+    let input = photographs(&args.photographs, true).ok_or_else(|| not_photographs(&args.photographs))?;
     let out = match &args.out {
         Some(out) => std::path::absolute(out)?,
         None => capture::dataset_beside(&input)?,
@@ -86,7 +86,7 @@ pub fn run(args: &SfmArgs, style: LogStyle) -> Result<()> {
 /// Makes a dataset of the photographs or the video that a command was given, unless there is one; other datasets stay as they
 /// are.
 pub fn prepare(dataset: Option<&Path>, options: &Options, style: LogStyle) -> Result<()> {
-    let Some(input) = dataset.and_then(photographs) else { return Ok(()) };
+    let Some(input) = dataset.and_then(|path| photographs(path, false)) else { return Ok(()) };
     let outcome = reconstruct(&input, &capture::dataset_beside(&input)?, options, false, style)?;
     let Outcome { dataset, photographs, points, .. } = &outcome;
     let placed = outcome.placed();

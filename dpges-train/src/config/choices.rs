@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use dpges_render::Up;
 use serde::{Deserialize, Serialize};
 
 use super::declare::{choices, text, value};
@@ -184,6 +185,8 @@ pub enum Background {
     Auto,
     /// Display-referred red, green and blue, 0 to 1.
     Colour([f64; 3]),
+    /// None, for pictures of `dpges render`.
+    Transparent,
 }
 
 value!(
@@ -191,9 +194,44 @@ value!(
     "auto" => "White for datasets in the Blender layout, black otherwise.",
     "black" => "",
     "white" => "",
-    "r,g,b" => "Display-referred red, green and blue, 0 to 1."
+    "r,g,b" => "Display-referred red, green and blue, 0 to 1.",
+    "transparent" => "None: pictures of `dpges render` have alpha. For nothing else."
 );
 text!(Background);
+
+/// What is up in a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Upwards {
+    /// As the training cameras are held.
+    Auto,
+    Along(Up),
+}
+
+value!(
+    Upwards, "a string", toml::Value::is_str,
+    "auto" => "As the training cameras are held.",
+    "x, y, z, -x, -y, -z" => "This axis of the dataset.",
+    "a,b,c" => "A direction in the dataset, such as `0,-1,0.2`."
+);
+text!(Upwards);
+
+impl fmt::Display for Upwards {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => write!(f, "auto"),
+            Self::Along(up) => up.fmt(f),
+        }
+    }
+}
+
+impl FromStr for Upwards {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "auto" { Ok(Self::Auto) } else { text.parse().map(Self::Along) }
+    }
+}
 
 impl fmt::Display for Background {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -202,6 +240,7 @@ impl fmt::Display for Background {
             Self::Colour([0.0, 0.0, 0.0]) => write!(f, "black"),
             Self::Colour([1.0, 1.0, 1.0]) => write!(f, "white"),
             Self::Colour([r, g, b]) => write!(f, "{r},{g},{b}"),
+            Self::Transparent => write!(f, "transparent"),
         }
     }
 }
@@ -214,12 +253,15 @@ impl FromStr for Background {
             "auto" => return Ok(Self::Auto),
             "black" => return Ok(Self::Colour([0.0; 3])),
             "white" => return Ok(Self::Colour([1.0; 3])),
+            "transparent" => return Ok(Self::Transparent),
             _ => {}
         }
         let parts: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
         match parts.as_deref() {
             Some(&[r, g, b]) if [r, g, b].iter().all(|c| (0.0..=1.0).contains(c)) => Ok(Self::Colour([r, g, b])),
-            _ => Err(format!("background `{text}` is neither auto, black, white nor three numbers from 0 to 1")),
+            _ => Err(format!(
+                "background `{text}` is neither auto, black, white, transparent nor three numbers from 0 to 1"
+            )),
         }
     }
 }
@@ -230,7 +272,7 @@ mod tests {
 
     #[test]
     fn backgrounds_read_what_they_write() {
-        for text in ["auto", "black", "white", "0.25,0.5,1"] {
+        for text in ["auto", "black", "white", "0.25,0.5,1", "transparent"] {
             assert_eq!(text.parse::<Background>().unwrap().to_string(), text);
         }
         for text in ["", "red", "1,1", "1,1,2", "0,0,nan"] {

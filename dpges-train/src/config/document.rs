@@ -122,7 +122,11 @@ mod tests {
                     "NGB" => "2GB",
                     "Npx" => "2px",
                     "Npx/MP" => "2px/MP",
+                    "x, y, z, -x, -y, -z" => "-y",
+                    "a,b,c" => "0,-1,0.2",
                     "r,g,b" => "0,0.5,1",
+                    // of pictures of `dpges render` alone
+                    "transparent" => continue,
                     name => name,
                 };
                 resolves(key, example);

@@ -8,7 +8,7 @@ use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, Opaci
 use super::budget::Budget;
 use super::choices::{
     Alpha, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method,
-    NewGaussians, Poses, Stop, SurfelStart,
+    NewGaussians, Poses, Stop, SurfelStart, Upwards,
 };
 use super::declare::{Ablation, Key, Section, Value, configuration, optional};
 use super::error::ConfigError;
@@ -21,6 +21,8 @@ configuration! {
     [data] DataConfig {
         /// Colour behind the scene. Pictures with alpha are composited on it.
         background: Background = Background::Auto;
+        /// What is up in the scene: for orbits, the window, pages and exports.
+        up: Upwards = Upwards::Auto;
         /// Meaning of the alpha of pictures.
         alpha: Alpha = Alpha::Matte;
         /// Masks are black where pixels count, and white where they are ignored, instead of the other way round.
@@ -40,7 +42,8 @@ configuration! {
         /// Most memory of a GPU for the photographs and masks of training views, which stay there once they were uploaded. Those
         /// beyond are uploaded by every step that needs them, which takes time and changes nothing else.
         device_memory: Memory = Memory::Gigabytes(2.0);
-        /// Near plane of every camera. 0 takes the default of the dataset's format.
+        /// Near plane of every camera. 0 takes a tenth of the depth of the nearest points that the cameras see, or a 400th of
+        /// the extent where there are no points.
         near: f64 = 0.0, unit: "world units", range: 0.0..;
         /// Resample photographs that were taken through a lens for a pinhole camera. Otherwise the scene is trained and
         /// evaluated through the lens, on the photographs as they are, which discs cannot be (`stages.surfels = 0`).
@@ -91,7 +94,7 @@ configuration! {
         /// quite right. What all have in common is left out: a rotation, a translation, and a scale.
         poses: Poses = Poses::Off;
         /// λ4: weight of the difference between the depths of surfels and of the discs they come from, for surface
-        /// reconstruction (DP-GES: 0.1). It acts in the joint stage and needs a stage or a file of discs.
+        /// reconstruction (DP-GES: 0.1), in fifths of the extent. It acts in the joint stage and needs a stage or a file of discs.
         lambda_disc_depth: f64 = 0.0, range: 0.0..;
         /// λ5: weight of the difference between the normals of surfels and discs, likewise (DP-GES: 0.05).
         lambda_disc_normal: f64 = 0.0, range: 0.0..;

@@ -17,7 +17,7 @@ pub use budget::Budget;
 use budget::{MEGABYTE, primitives_for};
 pub use choices::{
     Alpha, Background, DepthMaps, Environment, Exposure, GaussianStage, InitMethod, JointOpacity, Margin, Method,
-    NewGaussians, Poses, Stop, SurfelStart,
+    NewGaussians, Poses, Stop, SurfelStart, Upwards,
 };
 pub use declare::{Ablation, Key, Section};
 pub use differences::differences;

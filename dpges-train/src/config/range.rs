@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::ops::{Bound, RangeBounds};
 
-use super::{Config, ConfigError, Method};
+use super::{Background, Config, ConfigError, Method};
 
 /// Above 0.
 pub const POSITIVE: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
@@ -15,6 +15,10 @@ impl Config {
     /// [`ConfigError::Range`] naming the first key that is out of range.
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.check_ranges()?;
+        if self.data.background == Background::Transparent {
+            let expected = "auto, black, white or r,g,b: only pictures of `dpges render` are transparent".to_owned();
+            return Err(ConfigError::Range { key: "data.background", found: "transparent".to_owned(), expected });
+        }
         let (surfels, gaussians) = (self.stages.surfels, self.stages.gaussians);
         if surfels + gaussians < 1.0 {
             return Ok(());

@@ -1,16 +1,25 @@
 //! Turns the description of a dataset into one to train on: pictures, cameras, split, extent, origin.
 
+use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
+use dpges_core::camera::Camera;
 use glam::DVec3;
+use rayon::prelude::*;
 
+use super::companions::Companions;
+use super::conventions::{DEPTHS, MASKS};
 use super::error::{DatasetError, Result};
-use super::formats::source::{Frame, RawPoints, Source, Split};
+use super::finding::Kind;
+use super::formats::source::{DepthFile, Frame, RawPoints, Source, Split};
 use super::image::decoder::ImageDecoder;
+use super::image::masks::Masked;
 use super::image::{codec, depth, masks, reading};
+use super::layout::Layout;
 use super::names::{in_folder, listing};
-use super::{Dataset, Format, LoadOptions, PointCloud};
+use super::world::{drop_lost, mean_and_extent, near};
+use super::{Dataset, Format, LoadOptions, PointCloud, inventory};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -18,45 +27,67 @@ const RECENTRE_BEYOND_EXTENTS: f64 = 100.0;
 
 /// # Errors
 /// [`DatasetError`]; the first view by name that is at fault, whatever the number of threads.
-pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -> Result<Dataset> {
-    let near = options.near.unwrap_or_else(|| source.format.default_near());
-    source.frames.iter_mut().for_each(|frame| frame.camera.near = near);
+pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOptions) -> Result<Dataset> {
+    let root = &layout.folder.root;
     check(&source, options)?;
+    check_cameras(&source, options.near.unwrap_or(1.0))?;
+    let train_centres: Vec<DVec3> = frames_of(&source, Split::Train).map(|frame| frame.camera.centre()).collect();
+    let (mean, extent) = mean_and_extent(&train_centres);
+    let offset = if mean.length() > RECENTRE_BEYOND_EXTENTS * extent { mean } else { DVec3::ZERO };
+    let lost = drop_lost(&mut source.points, mean, extent);
+    if lost > 0 {
+        let message = format!("{lost} of the points are not finite, or far from everything");
+        source.notices.add(Kind::Missing, message, "they are left out");
+    }
+    let near = options.near.unwrap_or_else(|| near(&source.frames, &source.points, extent));
+    source.frames.iter_mut().for_each(|frame| frame.camera.near = near);
+
+    let mut used: HashSet<PathBuf> =
+        source.used.iter().chain(source.frames.iter().map(|frame| &frame.image)).cloned().collect();
     if let Some(scale) = options.image_scale {
         for frame in &mut source.frames {
             frame.image = scaled_image(root, &frame.image, scale)?;
         }
     }
-    if let Some(frame) = source.frames.iter().find(|frame| !frame.image.is_file()) {
-        return Err(DatasetError::missing_image(frame.image.clone(), &frame.name, &frame.described_in));
-    }
+    let masks = Companions::new(&layout.folder, MASKS, options.image_scale);
+    let depths = Companions::new(&layout.folder, DEPTHS, None);
     for frame in &mut source.frames {
-        frame.mask = masks::find(root, frame)?;
+        frame.mask = masks::find(frame, &masks, options.image_scale.is_some())?;
+        let unit = depth::DEFAULT_UNIT;
+        frame.depth = frame.depth.take().or_else(|| Some(DepthFile { path: depths.of(&frame.image)?, unit }));
+        used.extend(frame.mask.iter().chain(frame.depth.iter().map(|depth| &depth.path)).cloned());
     }
-    masks::warn_of_strangers(root, &source.frames);
-
     if options.depth.is_some() {
         check_depth(root, &source)?;
     }
+    let has_alpha = look_at(&mut source)?;
+    let mut notices = std::mem::take(&mut source.notices);
+    let what = "photographs are missing, and their views left out";
+    notices.add_files(Kind::Missing, what, root, &source.missing, "restore the files if they should be there");
+    let left_out: Vec<&str> = frames_of(&source, Split::Neither).map(|frame| frame.name.as_str()).collect();
+    let what = "views are in none of the lists of the dataset, and left out";
+    notices.add_names(Kind::Aside, what, &left_out, "add them to a list to use them");
+    notices.0.extend(inventory::survey(layout, &source, used, options.depth.is_some()).0);
 
-    let train_centres: Vec<DVec3> = frames_of(&source, Split::Train).map(|frame| frame.camera.centre()).collect();
-    let (mean, extent) = mean_and_extent(&train_centres);
-    let offset = if mean.length() > RECENTRE_BEYOND_EXTENTS * extent { mean } else { DVec3::ZERO };
     for frame in &mut source.frames {
         frame.camera.camera_from_world = frame.camera.camera_from_world.recentred(offset);
     }
     let background = match options.background {
         Some(background) => background,
-        None if source.format == Format::Blender && has_alpha(&source.frames)? => [1.0; 3],
+        None if source.format == Format::Blender && has_alpha => [1.0; 3],
         None => [0.0; 3],
     };
-    warn_of_deep_images(&source.frames)?;
     // photographs to train on come first: they are needed more often
     let frames: Vec<&Frame> =
         [Split::Train, Split::Test].into_iter().flat_map(|split| frames_of(&source, split)).collect();
-    let decoder = Arc::new(ImageDecoder::new(root.to_owned(), options, background));
+    let decoder = Arc::new(ImageDecoder::new(options, background));
     let (mut train, spare_memory) = reading::views(&frames, options.memory, &decoder)?;
     let test = train.split_off(train_centres.len());
+    let masked = Masked::of(train.iter().chain(&test));
+    if frames.iter().any(|frame| frame.mask.is_some()) && masked.ignored_pixels == 0 {
+        let message = format!("the masks of {} views mask nothing: none of their pixels is black", masked.masked_views);
+        notices.add(Kind::Unused, message, "make what is not to count black (0, not nearly so)");
+    }
     Ok(Dataset {
         train,
         test,
@@ -67,6 +98,7 @@ pub(super) fn assemble(root: &Path, mut source: Source, options: &LoadOptions) -
         background,
         format: source.format,
         near,
+        notices,
         spare_memory,
     })
 }
@@ -75,9 +107,13 @@ fn frames_of(source: &Source, split: Split) -> impl Iterator<Item = &Frame> {
     source.frames.iter().filter(move |frame| frame.split == split)
 }
 
-/// Checks that need no pixels.
+/// Checks of the views as a whole.
 fn check(source: &Source, options: &LoadOptions) -> Result<()> {
     let path = source.described_in.clone();
+    let (missing, all) = (source.missing.len(), source.missing.len() + source.frames.len());
+    if 2 * missing > all {
+        return Err(DatasetError::MissingMost { path: source.missing[0].clone(), missing, all, described_in: path });
+    }
     if source.frames.is_empty() {
         return Err(DatasetError::NoViews { path });
     }
@@ -88,31 +124,54 @@ fn check(source: &Source, options: &LoadOptions) -> Result<()> {
     if held_out == 0 && options.test_every > 0 {
         return Err(DatasetError::NoTestViews { path, reason: source.no_test_reason });
     }
-    for frame in &source.frames {
-        frame.camera.validate().map_err(|source| DatasetError::Camera {
-            path: frame.described_in.clone(),
-            view: frame.name.clone(),
-            source: Box::new(source),
-        })?;
-    }
     Ok(())
 }
 
-/// The mean of `centres` and the extent of the scene: 1.1 × the largest distance from it, 1 where that is 0.
-pub(super) fn mean_and_extent(centres: &[DVec3]) -> (DVec3, f64) {
-    let mean = centres.iter().sum::<DVec3>() / centres.len() as f64;
-    let radius = centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max);
-    (mean, if radius > 0.0 { 1.1 * radius } else { 1.0 })
+/// Checks of each of the views, with a near plane.
+fn check_cameras(source: &Source, near: f64) -> Result<()> {
+    source.frames.iter().try_for_each(|frame| {
+        Camera { near, ..frame.camera }.validate().map_err(|source| DatasetError::Camera {
+            path: frame.described_in.clone(),
+            view: frame.name.clone(),
+            source: Box::new(source),
+        })
+    })
 }
 
-/// Whether one of the images has alpha.
-fn has_alpha(frames: &[Frame]) -> Result<bool> {
-    for frame in frames {
-        if codec::header(&frame.image)?.has_alpha {
-            return Ok(true);
+/// Looks at the headers of all pictures, whether they fit their cameras as they are stored, and whether they are whole. Returns
+/// whether one has alpha.
+fn look_at(source: &mut Source) -> Result<bool> {
+    let frames: Vec<&mut Frame> = source.frames.iter_mut().filter(|frame| frame.split != Split::Neither).collect();
+    let headers: Vec<Result<codec::Header>> = frames.par_iter().map(|frame| codec::header(&frame.image)).collect();
+    let (mut turned, mut deep, mut has_alpha) = (Vec::new(), Vec::new(), false);
+    let headers = headers.into_iter().collect::<Result<Vec<codec::Header>>>()?;
+    for (frame, header) in frames.into_iter().zip(&headers) {
+        let fits = |[width, height]: [usize; 2]| frame.check_aspect(&frame.image, [width, height], &[""; 2]).is_ok();
+        let (found, orientation) = ([header.width, header.height], header.orientation);
+        let is_upright = orientation < 5;
+        match (fits(found), fits([header.height, header.width])) {
+            (false, true) if !is_upright => {
+                let (path, described_in) = (frame.image.clone(), frame.described_in.clone());
+                return Err(DatasetError::Orientation { path, found, orientation, described_in });
+            }
+            // the size says that the camera is that of the pixels as they are stored
+            (true, false) if !is_upright && frame.is_sized => {}
+            _ if orientation > 1 => turned.push(format!("{} (EXIF orientation {orientation})", frame.name)),
+            _ => {}
+        }
+        frame.header = Some(*header);
+        has_alpha |= header.has_alpha;
+        if header.is_deep {
+            deep.push(frame.image.display());
         }
     }
-    Ok(false)
+    if let Some(first) = deep.first() {
+        tracing::info!("{} images of 16 bits per value are rounded to 8, such as {first}", deep.len());
+    }
+    let what = "photographs are to be turned, as their EXIF says, and are not";
+    let advice = "if their cameras are those of upright pictures, turn the pixels (`mogrify -auto-orient`)";
+    source.notices.add_names(Kind::Orientation, what, &turned, advice);
+    Ok(has_alpha)
 }
 
 /// `images/…` as `images_<scale>/…`.
@@ -121,7 +180,8 @@ fn scaled_image(root: &Path, image: &Path, scale: u32) -> Result<PathBuf> {
     let missing = || DatasetError::MissingScale { path: folder.clone(), available: image_folders(root) };
     let relative = image.strip_prefix(root).map_err(|_| missing())?;
     let mut components = relative.components().filter(|component| *component != Component::CurDir);
-    if components.next() != Some(Component::Normal("images".as_ref())) || !folder.is_dir() {
+    let is_base = |part: Component<'_>| part.as_os_str().to_string_lossy().split('_').next() == Some("images");
+    if !components.next().is_some_and(is_base) || !folder.is_dir() {
         return Err(missing());
     }
     Ok(folder.join(components.collect::<PathBuf>()))
@@ -139,29 +199,14 @@ fn image_folders(root: &Path) -> String {
 fn check_depth(root: &Path, source: &Source) -> Result<()> {
     let mut found = false;
     for frame in frames_of(source, Split::Train) {
-        let Some(file) = depth::file(root, frame) else { continue };
+        let Some(file) = &frame.depth else { continue };
         if !file.path.is_file() {
             let words = &["depth map", ", remove its `depth_file_path`, or set `data.depth` = \"none\""];
-            return Err(frame.missing(file.path, words));
+            return Err(frame.missing(file.path.clone(), words));
         }
         found = true;
     }
     if found { Ok(()) } else { Err(DatasetError::NoDepth { path: root.join(depth::FOLDER) }) }
-}
-
-/// Says so if images have more than 8 bits per value.
-fn warn_of_deep_images(frames: &[Frame]) -> Result<()> {
-    let mut deep = Vec::new();
-    let is_png = |frame: &&Frame| frame.image.extension().is_some_and(|found| found.eq_ignore_ascii_case("png"));
-    for frame in frames.iter().filter(|frame| frame.split != Split::Neither).filter(is_png) {
-        if codec::header(&frame.image)?.is_deep {
-            deep.push(frame.image.display());
-        }
-    }
-    if let Some(first) = deep.first() {
-        tracing::info!("{} images of 16 bits per value are rounded to 8, such as {first}", deep.len());
-    }
-    Ok(())
 }
 
 fn recentred_points(points: RawPoints, frames: &[Frame], offset: DVec3) -> PointCloud {
@@ -175,16 +220,9 @@ fn recentred_points(points: RawPoints, frames: &[Frame], offset: DVec3) -> Point
 mod tests {
     use dpges_core::camera::CameraFromWorld;
 
-    use super::super::fixtures::{self, Encoding, assert_refused, colmap_folder, write_mask};
+    use super::super::fixtures::{self, Encoding, assert_refused, assert_says, colmap_folder, said, write_mask};
     use super::super::load;
     use super::*;
-
-    #[test]
-    fn extent_is_a_tenth_more_than_the_farthest_camera_and_one_for_a_single_view() {
-        let (mean, extent) = mean_and_extent(&[DVec3::ZERO, DVec3::X * 4.0]);
-        assert_eq!((mean, extent), (DVec3::X * 2.0, 2.2));
-        assert_eq!(mean_and_extent(&[DVec3::ONE]).1, 1.0);
-    }
 
     #[test]
     fn geo_referenced_worlds_keep_sub_millimetre_precision() {
@@ -237,7 +275,7 @@ mod tests {
         let camera = small.train[0].camera;
         assert_eq!((camera.width, camera.height, camera.fx, camera.near), (12, 8, 10.0, 0.5));
         assert_eq!(small.train[0].picture().unwrap().bytes.len(), 3 * 12 * 8);
-        assert_eq!((full.train[0].camera.width, full.near), (24, 0.2));
+        assert_eq!(full.train[0].camera.width, 24);
         let enough = LoadOptions { max_resolution: Some(24), ..Default::default() };
         let same = load(folder.path(), &enough).unwrap();
         assert_eq!(same.train[0].picture().unwrap(), full.train[0].picture().unwrap());
@@ -326,8 +364,72 @@ mod tests {
         fixtures::write_png(&path, 24, 20, [0; 3]);
         let options = LoadOptions::default();
         assert_refused(folder.path(), &options, &[&scene.images[3].name, "24x20", "24x16", "images.bin"]);
-        std::fs::remove_file(&path).unwrap();
-        assert_refused(folder.path(), &options, &[path.to_str().unwrap(), "is missing"]);
+        let all = load(colmap_folder(&scene, Encoding::Binary).path(), &options).unwrap();
+        for removed in 1..=6 {
+            let file = folder.path().join("images").join(&scene.images[removed].name);
+            std::fs::remove_file(&file).unwrap();
+            if removed < 3 {
+                continue;
+            }
+            if removed > 4 {
+                let (counted, first) = (format!("missing, {removed} of 9"), &scene.images[removed].name);
+                assert_refused(folder.path(), &options, &[&counted, "images.bin", first]);
+                continue;
+            }
+            let data = load(folder.path(), &options).unwrap();
+            assert_eq!(data.train.len() + data.test.len(), 9 - removed);
+            assert_says(said(&data), &[&format!("their views left out ({removed})"), "left/0"]);
+            // the others keep their points
+            let seen_by = |data: &Dataset, name: &str| {
+                let view = data.train.iter().position(|view| view.name == name).unwrap();
+                data.points.seen_by.by_view(data.train.len())[view].clone()
+            };
+            assert_eq!(seen_by(&data, "left/001.png"), seen_by(&all, "left/001.png"));
+        }
+    }
+
+    #[test]
+    fn sizes_and_orientations_that_contradict_are_refused_or_said() {
+        let turned = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+        for (size, orientation, expected) in
+            [([16, 24], 6, "EXIF orientation 6"), ([24, 16], 6, ""), ([24, 16], 3, "left/001.jpg (EXIF orientation 3)")]
+        {
+            let mut scene = fixtures::scene(3);
+            let folder = colmap_folder(&scene, Encoding::Text);
+            scene.images[1].name = "left/001.jpg".to_owned();
+            fixtures::write_model(&folder.path().join("sparse/0"), &scene, Encoding::Text);
+            let path = folder.path().join("images/left/001.jpg");
+            fixtures::save(&path, image::RgbImage::new(size[0], size[1]));
+            let mut tag = turned.to_vec();
+            tag[24] = orientation;
+            fixtures::insert_segment(&path, 0xe1, &tag);
+            std::fs::remove_file(folder.path().join("images/left/001.png")).unwrap();
+            match load(folder.path(), &LoadOptions::default()) {
+                Err(error) => assert_says(error, &["left/001.jpg", "16x24", expected, "images.txt"]),
+                Ok(data) if expected.is_empty() => assert_eq!(said(&data), ""),
+                Ok(data) => assert_says(said(&data), &["Orientation", expected]),
+            }
+        }
+    }
+
+    #[test]
+    fn the_near_plane_follows_what_cameras_see_in_any_unit() {
+        for scale in [1e-3, 1.0, 1e3] {
+            let mut scene = fixtures::scene(9);
+            scene.images.iter_mut().for_each(|image| image.pose.translation *= scale);
+            scene.points.iter_mut().for_each(|point| point.position *= scale);
+            let read = |scene: &fixtures::FixtureScene| {
+                load(colmap_folder(scene, Encoding::Binary).path(), &LoadOptions::default()).unwrap()
+            };
+            let data = read(&scene);
+            // cameras are about 3.2 from the middle, and points up to one nearer
+            assert!((0.2..0.32).contains(&(data.near / scale)), "{}", data.near);
+            assert!(data.train.iter().chain(&data.test).all(|view| view.camera.near == data.near));
+            // of no points the extent
+            scene.points.clear();
+            let none = read(&scene);
+            assert!((none.near - 2.5e-3 * none.extent).abs() < 1e-9 * scale && none.points.positions.is_empty());
+        }
     }
 
     #[test]

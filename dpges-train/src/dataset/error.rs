@@ -25,7 +25,7 @@ pub enum DatasetError {
     )]
     Truncated { path: PathBuf, what: String, needed: u64, left: usize },
     #[error("{path}: {what} is {found}, expected {expected}; repair the entry or remove it")]
-    Malformed { path: PathBuf, what: String, found: String, expected: &'static str },
+    Malformed { path: PathBuf, what: String, found: String, expected: String },
     #[error("{path} is not the JSON of a transforms file: {source}; NaN and infinity are not JSON either")]
     Json { path: PathBuf, source: serde_json::Error },
     #[error("{path} is not a readable PLY point cloud: {source}; export it again or remove `ply_file_path`")]
@@ -42,7 +42,9 @@ pub enum DatasetError {
     Distortion { path: PathBuf, view: String },
     #[error("{path}: view `{view}`: {source}; repair the view or remove it")]
     Camera { path: PathBuf, view: String, source: Box<dpges_core::Error> },
-    #[error("{path}: view `{view}` has neither `fl_x` nor `camera_angle_x`; add one for the file or for the frame")]
+    #[error(
+        "{path}: view `{view}` has neither `fl_x`, `fl_y`, `camera_angle_x` nor `camera_angle_y`; add one for the file or for the frame"
+    )]
     NoFocalLength { path: PathBuf, view: String },
     #[error("{path}: no views; a dataset needs at least one photograph with a pose")]
     NoViews { path: PathBuf },
@@ -51,10 +53,14 @@ pub enum DatasetError {
     #[error("{path}: no test views: {reason}; set `test_every` = 0 to train without held-out views")]
     NoTestViews { path: PathBuf, reason: &'static str },
     #[error(
-        "{path} holds no points, training from a COLMAP model starts from them; run the point triangulator or \
-         export the model again"
+        "{path} and others are missing, {missing} of {all} photographs; {described_in} names them: restore them, or remove their views"
     )]
-    NoPoints { path: PathBuf },
+    MissingMost { path: PathBuf, missing: usize, all: usize, described_in: PathBuf },
+    #[error(
+        "{path} holds cameras of {program}, which are not read; export them for COLMAP (cameras.txt, images.txt and points3D.txt \
+         in sparse/0), name the file itself if it is one of transforms, or have cameras found anew: `dpges sfm {folder}`"
+    )]
+    ForeignCameras { path: PathBuf, program: &'static str, folder: PathBuf },
     /// An image, a mask or a depth map; `words` say which, and what to do.
     #[error("{} {path} of view `{view}` is missing; {described_in} names it, restore the file{}", words[0], words[1])]
     Missing { words: &'static [&'static str; 2], path: PathBuf, view: String, described_in: PathBuf },
@@ -76,6 +82,18 @@ pub enum DatasetError {
     DepthType { path: PathBuf, found: String, expected: &'static str },
     #[error("folder {path} is missing, there are {available}; use an image scale that exists, or cap the resolution")]
     MissingScale { path: PathBuf, available: String },
+    #[error("image {path} is a picture of format {format}, which is not read; convert it and its like to JPEG or PNG")]
+    PictureFormat { path: PathBuf, format: &'static str },
+    #[error(
+        "image {path} is cut short: it ends at byte {bytes}, before its last line; copy it again, or remove the view"
+    )]
+    CutShort { path: PathBuf, bytes: usize },
+    #[error(
+        "image {path} is {}x{} px, and its EXIF orientation {orientation} turns it to the {}x{} of its camera in {described_in}; \
+         turn the pixels (`mogrify -auto-orient`), for what EXIF says is ignored",
+        found[0], found[1], found[1], found[0]
+    )]
+    Orientation { path: PathBuf, found: [usize; 2], orientation: u32, described_in: PathBuf },
     #[error("image {path} cannot be decoded: {source}; replace it, as PNG or JPEG, or remove the view")]
     Decode { path: PathBuf, source: image::ImageError },
     #[error(
@@ -96,19 +114,31 @@ pub enum DatasetError {
 }
 
 impl DatasetError {
-    pub(super) fn missing_image(path: PathBuf, view: &str, described_in: &Path) -> Self {
-        let (view, described_in) = (view.to_owned(), described_in.to_owned());
-        Self::Missing { words: &["image", " or remove the view"], path, view, described_in }
-    }
-
-    pub(super) fn malformed(path: &Path, what: String, found: impl ToString, expected: &'static str) -> Self {
-        Self::Malformed { path: path.to_owned(), what, found: found.to_string(), expected }
+    pub(super) fn malformed(path: &Path, what: String, found: impl ToString, expected: impl ToString) -> Self {
+        Self::Malformed { path: path.to_owned(), what, found: found.to_string(), expected: expected.to_string() }
     }
 }
 
 /// An error of the file system as [`DatasetError::Read`], for `map_err`.
 pub(super) fn unreadable(path: &Path) -> impl FnOnce(std::io::Error) -> DatasetError {
     |source| DatasetError::Read { path: path.to_owned(), source }
+}
+
+/// The text of a file, without a byte order mark: as UTF-8, or as UTF-16 if its mark says so.
+///
+/// # Errors
+/// [`DatasetError::Read`].
+pub(super) fn read_text(path: &Path) -> Result<String> {
+    let bytes = read(path)?;
+    let of_utf16 = |of: fn([u8; 2]) -> u16| {
+        String::from_utf16_lossy(&bytes[2..].as_chunks::<2>().0.iter().map(|&pair| of(pair)).collect::<Vec<u16>>())
+    };
+    Ok(match bytes.as_slice() {
+        [0xff, 0xfe, ..] => of_utf16(u16::from_le_bytes),
+        [0xfe, 0xff, ..] => of_utf16(u16::from_be_bytes),
+        [0xef, 0xbb, 0xbf, text @ ..] => String::from_utf8_lossy(text).into_owned(),
+        text => String::from_utf8_lossy(text).into_owned(),
+    })
 }
 
 /// The bytes of a file.

@@ -103,6 +103,11 @@ pub(crate) fn assert_says(message: impl ToString, parts: &[&str]) {
     }
 }
 
+/// All that was said of a dataset as it was read.
+pub(crate) fn said(data: &Dataset) -> String {
+    data.notices.0.iter().map(|notice| format!("{:?}: {}\n", notice.kind, notice.message)).collect()
+}
+
 /// Fails unless the dataset cannot be read, for a reason that has all `parts`.
 #[track_caller]
 pub(crate) fn assert_refused(folder: &Path, options: &LoadOptions, parts: &[&str]) {

@@ -16,7 +16,7 @@ pub struct LoadOptions {
     pub test_every: usize,
     /// Whether photographs taken through a lens are resampled for a pinhole camera; otherwise the cameras have the lens.
     pub undistort: bool,
-    /// World units. `None`: 0.2 for COLMAP and nerfstudio, 0.01 for Blender.
+    /// World units. `None`: a tenth of the depth of the nearest points that the cameras see.
     pub near: Option<f64>,
     /// Whether alpha says which pixels count, those from one half, instead of how much of the background they show.
     pub alpha_masks: bool,
@@ -50,8 +50,8 @@ impl DataConfig {
     pub fn load_options(&self) -> LoadOptions {
         LoadOptions {
             background: match self.background {
-                Background::Auto => None,
                 Background::Colour(colour) => Some(colour),
+                Background::Auto | Background::Transparent => None,
             },
             image_scale: (self.image_scale > 1).then_some(self.image_scale),
             max_resolution: (self.max_resolution > 0).then_some(self.max_resolution),

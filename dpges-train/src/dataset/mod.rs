@@ -1,26 +1,37 @@
 //! Photographs, cameras and points from disk: COLMAP, Blender and nerfstudio folders, and a small built-in scene.
 //!
-//! A format reader (`colmap`, `blender`, `nerfstudio`) describes the dataset as a list of frames with lenses and
-//! poses; `assemble` moves geo-referenced worlds to the origin, and `reading` reads the images in parallel, or only their
-//! headers, and then the others when they are needed: `decoder` undistorts them if asked to, and makes them smaller.
+//! `layout` finds the cameras among the files of a folder. A format reader (`colmap`, `nerfstudio`) describes the dataset as a
+//! list of frames with lenses and poses; `assemble` finds its size and place, and moves geo-referenced worlds to the origin;
+//! `inventory` says of the other files that they are not used, by the `conventions` of the programs that write them; and
+//! `reading` reads the images in parallel, or only their headers, and then the others when they are needed: `decoder` undistorts
+//! them if asked to, and makes them smaller.
 //! Cameras have OpenCV axes (x right, y down, z forward).
 
 mod assemble;
 pub mod block;
 mod builtin;
+pub mod camera_file;
 pub mod capture;
 pub mod check;
+mod companions;
+mod conventions;
 mod empty_space;
 mod error;
+mod finding;
 #[cfg(test)]
 pub(crate) mod fixtures;
+mod folder;
 mod formats;
 pub(crate) mod image;
+mod inventory;
+mod key;
+mod layout;
 mod load_options;
 pub(crate) mod names;
 pub mod source;
 mod split;
 mod tracks;
+mod world;
 
 use std::fmt;
 use std::path::Path;
@@ -34,7 +45,7 @@ use glam::DVec3;
 pub(crate) use self::image::codec::header as image_header;
 pub use self::image::depth::{DepthKind, DepthMap};
 pub use self::image::masks::Masked;
-pub(crate) use self::image::masks::{called_like as mask_called_like, read as read_mask, strangers as strange_masks};
+pub(crate) use self::image::masks::read as read_mask;
 pub use self::image::packed::PackedPicture;
 pub(crate) use self::image::photograph::{MOST_PREFETCHED, prefetch};
 pub use self::image::photograph::{Photograph, pictures};
@@ -42,12 +53,16 @@ pub use self::image::picture::Picture;
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
 pub use empty_space::EmptySpace;
 pub use error::DatasetError;
+pub use finding::{Finding, Kind, Notices};
 pub(crate) use formats::colmap::{ModelContent, model_content};
 pub use load_options::LoadOptions;
 pub use split::Split;
 pub use tracks::Tracks;
 
+use self::folder::Folder;
+use self::formats::source::Source;
 use self::image::undistort;
+use self::layout::{Cameras, Layout};
 use error::Result;
 
 /// Photographs that are looked at before the first step, at most, to decide what does not need all of them.
@@ -108,13 +123,16 @@ pub struct Dataset {
     /// zero unless the mean of the camera centres is more than 100 extents from the origin of the files, where the
     /// spacing of f32 would exceed 10⁻⁵ of the extent.
     pub offset: DVec3,
-    /// 1.1 × the largest distance of a training camera centre from their mean, world units; 1 where that is 0.
+    /// 1.1 × the largest distance of a training camera centre from their mean, world units, without the few that are ten times as
+    /// far away as any other; 1 where that is 0.
     pub extent: f64,
     /// Background colour: red, green, blue in 0..1. Images with alpha are composited on it.
     pub background: [f64; 3],
     pub format: Format,
     /// Near plane of every camera, world units.
     pub near: f64,
+    /// What it lacks, and what of its files is not used.
+    pub notices: Notices,
     /// Memory of [`LoadOptions::memory`] that photographs do not use, bytes: room for other numbers per pixel.
     pub spare_memory: usize,
 }
@@ -216,44 +234,42 @@ impl fmt::Display for Format {
     }
 }
 
-impl Format {
-    /// Near plane of this format's cameras, world units: 0.2 for captured scenes (3DGS), 0.01 for synthetic ones, which
-    /// are small.
-    fn default_near(self) -> f64 {
-        match self {
-            Self::Colmap | Self::Nerfstudio => 0.2,
-            Self::Blender | Self::Builtin => 0.01,
-        }
-    }
-}
-
-/// The layout of folder `path`: COLMAP if it has a folder `sparse`, else Blender if it has `transforms_train.json`,
-/// else nerfstudio if it has `transforms.json`.
+/// The layout of the dataset at `path`, its folder or a file of its cameras: COLMAP if it has a folder `sparse`, else Blender if
+/// it has `transforms_train.json`, else nerfstudio if it has `transforms.json`, else COLMAP if it has a model elsewhere.
 pub fn format(path: &Path) -> Option<Format> {
-    if path.join("sparse").is_dir() {
-        Some(Format::Colmap)
-    } else if path.join("transforms_train.json").is_file() {
-        Some(Format::Blender)
-    } else {
-        path.join("transforms.json").is_file().then_some(Format::Nerfstudio)
-    }
+    Layout::find(path).map(|layout| layout.format())
 }
 
-/// Reads the dataset in folder `path`, see [`format()`]. For more than [`SAMPLED_VIEWS`] photographs without alpha, masks and
+/// Reads the dataset at `path`, see [`format()`]. For more than [`SAMPLED_VIEWS`] photographs without alpha, masks and
 /// depth maps it reads only the headers; their pixels follow when they are needed.
 ///
 /// # Errors
 /// [`DatasetError`] names the file at fault and the remedy.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
-    let source = match format(path) {
-        Some(Format::Colmap) => formats::colmap::read(path, options)?,
-        Some(Format::Blender) => formats::blender::read(path)?,
-        Some(Format::Nerfstudio) => formats::nerfstudio::read(path, options)?,
-        Some(Format::Builtin) | None => {
-            return Err(DatasetError::UnknownFormat { path: path.to_owned(), found: names::listing(path) });
-        }
+    let Some(layout) = Layout::find(path) else {
+        return Err(foreign(path)
+            .unwrap_or_else(|| DatasetError::UnknownFormat { path: path.to_owned(), found: names::listing(path) }));
     };
-    assemble::assemble(path, source, options)
+    assemble::assemble(&layout, described(&layout, options)?, options)
+}
+
+fn described(layout: &Layout, options: &LoadOptions) -> Result<Source> {
+    match &layout.cameras {
+        Cameras::Colmap(models) => formats::colmap::read(layout, models, options),
+        Cameras::Transforms { train, held_out } => {
+            formats::nerfstudio::read(layout, train, held_out.as_deref(), options)
+        }
+    }
+}
+
+/// The error of a folder with cameras of programs that are not read; `None` if there are none, or whole datasets within.
+pub(crate) fn foreign(path: &Path) -> Option<DatasetError> {
+    let folder = Folder::read(path);
+    let (program, files) = inventory::foreign_cameras(&folder).into_iter().next()?;
+    if Layout::are_within(&folder) {
+        return None;
+    }
+    Some(DatasetError::ForeignCameras { path: files[0].clone(), program, folder: path.to_owned() })
 }
 
 #[cfg(test)]

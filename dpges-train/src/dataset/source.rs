@@ -41,7 +41,7 @@ type Result<T, E = SourceError> = std::result::Result<T, E>;
 impl SourceError {
     /// An error of reading the dataset at `path`, with advice if there are no cameras yet.
     fn explained(error: DatasetError, path: &Path) -> Self {
-        if Input::find(path).is_some() {
+        if Input::find(path, false).is_some() {
             return Self::NoCameras { error, path: path.to_owned() };
         }
         if capture::is_begun(path) && format(path).is_none() {
@@ -54,9 +54,10 @@ impl SourceError {
     }
 }
 
-/// The photographs without cameras or the video that a command names, by absolute paths; `None` for anything else.
-pub fn photographs(path: &Path) -> Option<Input> {
-    matches!(Source::new(path), Source::Folder(_)).then(|| Input::find(&absolute(path))).flatten()
+/// The photographs without cameras or the video that a command names, by absolute paths; `None` for anything else, as for
+/// photographs with cameras of another program, unless theirs are to be found `anew`.
+pub fn photographs(path: &Path, anew: bool) -> Option<Input> {
+    matches!(Source::new(path), Source::Folder(_)).then(|| Input::find(&absolute(path), anew)).flatten()
 }
 
 fn absolute(path: &Path) -> PathBuf {
@@ -66,7 +67,8 @@ fn absolute(path: &Path) -> PathBuf {
 /// The name of a run on the dataset that a command names.
 pub fn run_name(dataset: Option<&Path>) -> String {
     let Source::Folder(path) = Source::named(dataset) else { return BUILTIN.to_owned() };
-    let name = dataset.and_then(photographs).and_then(|input| input.name());
+    let path = if path.is_file() { path.parent().unwrap_or(&path) } else { &path };
+    let name = dataset.and_then(|dataset| photographs(dataset, false)).and_then(|input| input.name());
     let name = name.or_else(|| Some(path.file_name()?.to_string_lossy().into_owned()));
     name.unwrap_or_else(|| "dataset".to_owned())
 }
@@ -102,7 +104,7 @@ impl Source {
     pub fn named(dataset: Option<&Path>) -> Self {
         match dataset.map_or(Self::Builtin, Self::new) {
             Self::Folder(path) => {
-                let beside = photographs(&path).and_then(|input| capture::dataset_beside(&input).ok());
+                let beside = photographs(&path, false).and_then(|input| capture::dataset_beside(&input).ok());
                 Self::Folder(beside.unwrap_or_else(|| absolute(&path)))
             }
             builtin => builtin,
@@ -148,9 +150,9 @@ impl Source {
             dataset.keep_block(&Block::read(path)?).map_err(wrong)?;
         }
         if let Self::Folder(_) = self {
-            for finding in Report::of(&dataset, Effort::Quick)?.findings {
-                tracing::warn!("{finding}");
-            }
+            let report = Report::of(&dataset, Effort::Quick)?;
+            report.notes.iter().for_each(|note| tracing::info!("{note}"));
+            report.findings.iter().for_each(|finding| tracing::warn!("{finding}"));
         }
         let every = config.validation_every(dataset.train.len());
         dataset.keep_for_validation(every);

@@ -3,6 +3,7 @@
 #[cfg(feature = "gpu")]
 pub mod adapter;
 pub mod adapter_name;
+pub mod allocator;
 pub mod choice;
 pub mod extremes;
 pub mod failure;

@@ -87,12 +87,44 @@ pub fn photograph(picture: &Picture) -> Rgb8Image {
 /// # Errors
 /// [`dpges_core::Error::Io`] naming `path`.
 pub fn save_png(image: &Rgb8Image, path: &Path) -> Result<()> {
+    save_png_with(image, None, path)
+}
+
+/// The same with the opacities [height, width] of its pixels, if there are any.
+///
+/// # Errors
+/// As [`save_png`].
+pub fn save_png_with(image: &Rgb8Image, alpha: Option<&[u8]>, path: &Path) -> Result<()> {
+    let rgba: Option<Vec<u8>> = alpha.map(|alpha| {
+        let pixels = image.bytes.as_chunks::<3>().0.iter().zip(alpha);
+        pixels.flat_map(|(&[red, green, blue], &alpha)| [red, green, blue, alpha]).collect()
+    });
+    let (bytes, colour) = match &rgba {
+        Some(rgba) => (rgba, ExtendedColorType::Rgba8),
+        None => (&image.bytes, ExtendedColorType::Rgb8),
+    };
     write_atomically(path, |file| {
         let mut encoded = Vec::new();
         PngEncoder::new(&mut encoded)
-            .write_image(&image.bytes, image.width as u32, image.height as u32, ExtendedColorType::Rgb8)
+            .write_image(bytes, image.width as u32, image.height as u32, colour)
             .map_err(std::io::Error::other)?;
         file.write_all(&encoded)
+    })
+}
+
+/// Writes depths [height, width] as the channel `Z` of an OpenEXR file, in world units, 0 where there is nothing.
+///
+/// # Errors
+/// As [`save_png`].
+pub fn save_depth(depth: &[f32], [width, height]: [usize; 2], path: &Path) -> Result<()> {
+    use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage};
+    let channel = AnyChannel::new("Z", FlatSamples::F32(depth.to_vec()));
+    let channels = AnyChannels::sort(std::iter::once(channel).collect());
+    let layer = Layer::new((width, height), LayerAttributes::default(), Encoding::SMALL_FAST_LOSSLESS, channels);
+    write_atomically(path, |file| {
+        let mut encoded = std::io::Cursor::new(Vec::new());
+        Image::from_layer(layer).write().non_parallel().to_buffered(&mut encoded).map_err(std::io::Error::other)?;
+        file.write_all(encoded.get_ref())
     })
 }
 
@@ -104,13 +136,13 @@ pub fn jpeg(image: &Rgb8Image, quality: u8) -> ImageResult<Vec<u8>> {
     Ok(bytes)
 }
 
-/// File names without extension, one for each view and all different. Separators of folders, and characters that are
+/// File names without extension, one for each name and all different. Separators of folders, and characters that are
 /// not alphanumeric, `-`, `_` or `.`, become `_`.
-pub fn file_stems(views: &[View]) -> Vec<String> {
+pub fn file_stems<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut taken = HashSet::new();
-    let mut stems = Vec::with_capacity(views.len());
-    for view in views {
-        let stem = stem(&view.name);
+    let mut stems = Vec::new();
+    for name in names {
+        let stem = stem(name);
         let unique = (1..).map(|number| if number == 1 { stem.clone() } else { format!("{stem}-{number}") });
         stems.extend(unique.into_iter().find(|name| taken.insert(name.clone())));
     }
@@ -139,8 +171,8 @@ mod tests {
 
     #[test]
     fn file_stems_are_safe_and_unique() {
-        let views = views(&["images/a b.jpg", "images_a b.png", "./test/r_0", "v1.5.png", "../x"]);
-        assert_eq!(file_stems(&views), ["images_a_b", "images_a_b-2", "test_r_0", "v1.5", "x"]);
+        let names = ["images/a b.jpg", "images_a b.png", "./test/r_0", "v1.5.png", "../x"];
+        assert_eq!(file_stems(names.into_iter()), ["images_a_b", "images_a_b-2", "test_r_0", "v1.5", "x"]);
     }
 
     #[test]

@@ -37,7 +37,7 @@ impl Region {
         radii.sort_by(f64::total_cmp);
         match radii.get(radii.len() / 2) {
             Some(&radius) if radius > 0.0 => Self::cube(focus, SLACK * radius.max(0.1 * extent)),
-            _ => Self::cube(mean, extent.max(1e-3)),
+            _ => Self::cube(mean, extent),
         }
     }
 
@@ -67,7 +67,7 @@ impl Region {
 fn nearest_to_axes(cameras: &[Camera], mean: DVec3, extent: f64) -> DVec3 {
     const PULL: f64 = 1e-4;
     let looking = cameras.iter().map(forward).sum::<DVec3>().try_normalize().unwrap_or(DVec3::ZERO);
-    let ahead = mean + looking * extent.max(1e-3);
+    let ahead = mean + looking * extent;
     let weight = PULL * cameras.len().max(1) as f64;
     let (mut matrix, mut right) = (DMat3::IDENTITY * weight, ahead * weight);
     for camera in cameras {

@@ -95,7 +95,7 @@ fn sigmas<const N: usize>(log_scales: &[f32], row: usize) -> [f64; N] {
 
 /// A scale of zero has no logarithm.
 fn log(sigma: f64) -> f32 {
-    sigma.max(1e-9).ln() as f32
+    sigma.max(f64::from(f32::MIN_POSITIVE)).ln() as f32
 }
 
 fn quaternion(frame: DMat3) -> [f32; 4] {

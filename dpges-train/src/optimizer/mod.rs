@@ -15,6 +15,14 @@ use dpges_core::scene::tensors::{row_indices, tensor_to_rows};
 /// Learning rate of the logits of opacities, of Gaussians and discs that are blended (3DGS).
 pub const LOGIT_RATE: f64 = 0.05;
 
+/// Extent of the scenes for which methods publish constants in world units: COLMAP makes reconstructions about ten units wide.
+const USUAL_EXTENT: f64 = 5.0;
+
+/// World units, in a scene of `extent` (world units), of one world unit of a scene of the usual extent; 1 if it is 0.
+pub fn unit_of(extent: f64) -> f64 {
+    if extent > 0.0 { extent / USUAL_EXTENT } else { 1.0 }
+}
+
 /// One attribute of all primitives of a kind: its raw numbers and, if it learns, its two Adam moments.
 #[derive(Clone, Debug)]
 pub struct Parameter {

@@ -4,8 +4,8 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 use std::num::NonZero;
 
-/// Lower limit of mean squared distances (3DGS), world units².
-const MIN_SQUARED_SPACING: f32 = 1e-7;
+/// Least spacing over the median of all (3DGS: 3.2e-4 world units).
+const MIN_SPACING: f32 = 0.01;
 
 /// A neighbour: its row, and its squared distance in world units².
 pub type Neighbour = (u32, f32);
@@ -26,12 +26,16 @@ pub fn nearest_to(queries: &[[f32; 3]], positions: &[[f32; 3]], count: usize) ->
     queries.par_iter().map(|&query| sites.nearest(query, count, None)).collect()
 }
 
-/// Root of the mean squared distance to the 3 nearest other points, world units, at least 3.2e-4
-/// (3DGS); `None` for a point alone.
+/// Root of the mean squared distance to the 3 nearest other points, world units, at least a hundredth of its median; `None` for a
+/// point alone, or one of points that are all at one place.
 pub fn spacing(positions: &[[f32; 3]]) -> Vec<Option<f32>> {
     let mean = |near: &Vec<(u32, f32)>| near.iter().map(|&(_, d)| d).sum::<f32>() / near.len() as f32;
-    let spacing = |near: Vec<(u32, f32)>| (!near.is_empty()).then(|| mean(&near).max(MIN_SQUARED_SPACING).sqrt());
-    nearest(positions, 3).into_iter().map(spacing).collect()
+    let own = |near: Vec<(u32, f32)>| (!near.is_empty()).then(|| mean(&near).sqrt());
+    let spacing: Vec<Option<f32>> = nearest(positions, 3).into_iter().map(own).collect();
+    let mut sorted: Vec<f32> = spacing.iter().flatten().copied().filter(|&spacing| spacing > 0.0).collect();
+    sorted.sort_by(f32::total_cmp);
+    let Some(median) = sorted.get(sorted.len() / 2) else { return vec![None; spacing.len()] };
+    spacing.into_iter().map(|spacing| Some(spacing?.max(MIN_SPACING * median))).collect()
 }
 
 /// [N × 3] numbers as points.
@@ -196,7 +200,9 @@ mod tests {
         assert_eq!(spacing(&positions)[0], Some((14f32 / 3.0).sqrt()));
         assert_eq!(spacing(&positions[..1]), [None]);
         assert_eq!(spacing(&positions[..2]), [Some(1.0); 2]);
-        assert_eq!(spacing(&[[1.0; 3]; 2]), [Some(1e-7f32.sqrt()); 2]);
+        assert_eq!(spacing(&[[1.0; 3]; 2]), [None; 2]);
+        let twins = [[0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3], [4.0, 0.0, 0.0]];
+        assert_eq!(spacing(&twins), [Some(0.04), Some(0.04), Some(0.04), Some(0.04), Some(4.0)]);
         assert!(spacing(&[]).is_empty());
     }
 }

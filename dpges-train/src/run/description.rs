@@ -2,6 +2,7 @@
 
 use dpges_core::scene::lobes::present;
 use dpges_core::scene::{ColourModel, EnvironmentData};
+use dpges_render::Up;
 use serde_json::{Value, json};
 
 use super::scene::Scene;
@@ -39,6 +40,7 @@ pub fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("extent", json!(info.extent)),
         ("near", json!(info.near)),
         ("offset", json!(info.offset)),
+        ("up", json!(Up::of(info).to_string())),
         ("bounding_box_min", json!(bound(f32::min))),
         ("bounding_box_max", json!(bound(f32::max))),
         ("percentiles", json!(PERCENTILES)),

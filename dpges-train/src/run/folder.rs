@@ -30,6 +30,7 @@ use dpges_core::scene::atomic::{make_folder, write_atomically};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use super::hold::{Hold, HoldError, check_file};
 use crate::config::{Config, StageKind};
 use crate::views::pose::RefinedPoses;
 
@@ -68,6 +69,8 @@ pub enum RunFolderError {
     )]
     Poses { path: PathBuf, reason: String },
     #[error(transparent)]
+    Held(#[from] HoldError),
+    #[error(transparent)]
     File(#[from] Error),
 }
 
@@ -90,15 +93,35 @@ impl Origin {
 }
 
 /// Paths of a run's files.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct RunFolder {
     path: PathBuf,
+    /// `None` unless this program is writing to it.
+    hold: Option<Hold>,
 }
 
 impl RunFolder {
     /// The folder at `path`, which need not exist.
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into() }
+        Self { path: path.into(), hold: None }
+    }
+
+    /// The folder, which is made and into which no other program writes until this and all copies of it are dropped.
+    ///
+    /// # Errors
+    /// [`RunFolderError::Held`].
+    pub fn held(self) -> Result<Self, RunFolderError> {
+        let hold = match self.hold {
+            Some(hold) => hold,
+            None => Hold::of_folder(&self.path)?,
+        };
+        Ok(Self { hold: Some(hold), ..self })
+    }
+
+    /// Whether `file` is one of those of the run that is in this folder.
+    fn has_file(&self, file: &Path) -> bool {
+        let name = file.file_name().unwrap_or_default().to_string_lossy();
+        self.config().is_file() && self.origin().is_file() && files().any(|known| known == name)
     }
 
     pub fn path(&self) -> &Path {
@@ -264,6 +287,17 @@ impl RunFolder {
             None => Ok(Some(poses)),
         }
     }
+}
+
+/// Checks before the work that the file at `path` can be written after it. If it is one of a run, no other program writes to its
+/// folder until the result is dropped.
+///
+/// # Errors
+/// [`HoldError::Held`] if another one does, [`HoldError::File`] if it cannot be written.
+pub fn hold_file(path: &Path) -> Result<Option<Hold>, HoldError> {
+    check_file(path)?;
+    let folder = path.parent().unwrap_or(path);
+    if RunFolder::new(folder).has_file(path) { Hold::of_folder(folder).map(Some) } else { Ok(None) }
 }
 
 /// # Errors

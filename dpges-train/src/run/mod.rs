@@ -35,6 +35,8 @@ mod error;
 pub mod fixtures;
 pub mod folder;
 pub(crate) mod hash;
+pub mod hold;
+pub mod interrupts;
 pub mod jobs;
 #[cfg(test)]
 mod masked_tests;
@@ -50,6 +52,8 @@ mod resume;
 pub mod scene;
 mod shards;
 pub mod shell;
+pub mod shots;
+pub mod sink;
 pub mod step_cost;
 #[cfg(test)]
 mod streamed_tests;

@@ -8,7 +8,7 @@ use dpges_core::scene::{BlendOrder, Rendering, SceneData, SceneInfo};
 use glam::DVec3;
 
 use crate::config::{Config, Method, StagePlan};
-use crate::dataset::{Dataset, Format, PointCloud, View};
+use crate::dataset::{Dataset, Format, Notices, PointCloud, View};
 use crate::stage::Context;
 
 /// Which step is taken.
@@ -76,6 +76,7 @@ pub fn dataset(info: &SceneInfo, train: Vec<View>) -> Dataset {
         background: info.background,
         format: Format::Builtin,
         near: info.near,
+        notices: Notices::default(),
         spare_memory: usize::MAX,
     }
 }

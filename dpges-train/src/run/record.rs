@@ -33,6 +33,7 @@ pub struct Record {
 impl Record {
     /// The record of a run before its first step, in place of another run in the folder; `peak` began with the run.
     pub fn start(folder: RunFolder, origin: Origin, config: &Config, peak: PeakMemory) -> Result<Self, RunFolderError> {
+        let folder = folder.held()?;
         folder.start(&origin, config)?;
         let metrics = MetricsLog::create(&folder.metrics())?;
         Ok(Self { folder, origin, metrics, peak, reported: 0 })
@@ -40,7 +41,13 @@ impl Record {
 
     /// The record of a run that goes on where `checkpoint` was made, and the seconds that it had taken by then; `peak` began
     /// where it goes on.
-    pub fn resume(folder: RunFolder, origin: Origin, checkpoint: &Checkpoint, peak: PeakMemory) -> Result<(Self, f64)> {
+    pub fn resume(
+        folder: RunFolder,
+        origin: Origin,
+        checkpoint: &Checkpoint,
+        peak: PeakMemory,
+    ) -> Result<(Self, f64), RunFolderError> {
+        let folder = folder.held()?;
         let completed = checkpoint.completed_steps();
         let (metrics, seconds) = MetricsLog::resume(&folder.metrics(), completed, checkpoint.stage_is_over())?;
         Ok((Self { folder, origin, metrics, peak, reported: completed }, seconds))

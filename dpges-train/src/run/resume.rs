@@ -3,10 +3,12 @@
 
 use std::sync::Arc;
 
+use dpges_core::scene::SceneInfo;
+
 use super::checkpoint::Checkpoint;
-use super::folder::{Origin, RunFolder};
+use super::folder::{Origin, RunFolder, remove, write_json};
 use super::record::Record;
-use super::{Run, RunError, Trainer, shards, with_validation};
+use super::{Run, RunError, TrainError, Trainer, shards, with_validation};
 use crate::config::Config;
 use crate::dataset::Dataset;
 use crate::device::memory::PeakMemory;
@@ -18,6 +20,8 @@ pub struct SavedRun {
     folder: RunFolder,
     origin: Origin,
     checkpoint: Checkpoint,
+    lengthened: bool,
+    moved: bool,
 }
 
 impl SavedRun {
@@ -30,10 +34,48 @@ impl SavedRun {
         folder.check_resumable()?;
         let checkpoint = shards::load(&folder)?;
         let origin = folder.read_origin()?;
-        Ok(Self { folder, origin, checkpoint })
+        Ok(Self { folder, origin, checkpoint, lengthened: false, moved: false })
     }
 
-    /// The configuration that the run was started with and goes on with.
+    /// Makes the run end after `steps` instead. Only its last stage gets longer: it goes on as a stage of that length does
+    /// after the steps that are done, with its learning rates and refinements. Returns what that means, in words.
+    ///
+    /// # Errors
+    /// [`RunError::Train`] if not more steps than before and than are done are asked for.
+    pub fn lengthen(&mut self, steps: usize) -> Result<String, RunError> {
+        let state = &mut self.checkpoint.state;
+        let (config, done) = (&mut state.config, state.completed_steps);
+        let before = std::mem::replace(&mut config.train.steps, steps);
+        if steps <= done || steps < before {
+            return Err(RunError::Train(TrainError::Plan(format!(
+                "train.steps = {steps}: {done} of {before} steps are done, and a run can only be made longer"
+            ))));
+        }
+        for share in [&mut config.stages.surfels, &mut config.stages.gaussians] {
+            *share = (*share * before as f64).round() / steps as f64;
+        }
+        state.validation.go_on();
+        self.lengthened = true;
+        Ok(format!(
+            "it goes on from step {done} as a run of {steps} steps does there, not {before}: the last stage gets longer, learning \
+             rates rise again to what they are after {:.0} % of it, and primitives come and go until its schedules are over",
+            100.0 * self.share_of_last_stage()
+        ))
+    }
+
+    /// Share of the last stage that is done.
+    fn share_of_last_stage(&self) -> f64 {
+        let last = self.config().plan().last().copied();
+        last.map_or(0.0, |last| self.completed_steps().saturating_sub(last.begin) as f64 / last.steps as f64)
+    }
+
+    /// Goes on with `dataset`, to which the one that the run was started with has moved.
+    pub fn move_to(&mut self, dataset: String) {
+        self.origin.dataset = dataset;
+        self.moved = true;
+    }
+
+    /// The configuration that the run goes on with.
     pub fn config(&self) -> &Config {
         self.checkpoint.config()
     }
@@ -56,10 +98,21 @@ impl Run {
     /// metrics cannot be read.
     pub fn resume(saved: SavedRun, data: impl Into<Arc<Dataset>>, place: impl Into<Place>) -> Result<Self, RunError> {
         let peak = PeakMemory::start();
-        let SavedRun { folder, origin, checkpoint } = saved;
+        let SavedRun { folder, origin, checkpoint, lengthened, moved } = saved;
         let data = with_validation(data.into(), checkpoint.config());
         let place = place.into();
+        if moved {
+            check_moved(&checkpoint.state.info, &data)?;
+        }
         let (record, seconds_before) = if place.ranks.is_first() {
+            if moved {
+                write_json(&folder.origin(), &origin)?;
+            }
+            if lengthened {
+                // the scene that they measured is no longer the result
+                [folder.evaluation(), folder.validation()].iter().try_for_each(|file| remove(file))?;
+                folder.write_config(checkpoint.config())?;
+            }
             let (record, seconds) = Record::resume(folder.clone(), origin, &checkpoint, peak)?;
             (Some(record), seconds)
         } else {
@@ -69,4 +122,18 @@ impl Run {
         let trainer = Trainer::resume(checkpoint, data, place)?;
         Ok(Self { folder: Some(folder), record, saved, seconds_before, ..Self::of(trainer, peak) })
     }
+}
+
+/// Largest difference of the extents of a dataset before and after it was moved, as a share.
+const SAME_EXTENT: f64 = 0.01;
+
+/// Whether `data` may be the dataset of a scene of `info`; the names of its views are compared by [`Trainer::resume`].
+fn check_moved(info: &SceneInfo, data: &Dataset) -> Result<(), TrainError> {
+    let [before, now] = [info.extent, data.extent];
+    if (before - now).abs() <= SAME_EXTENT * before {
+        return Ok(());
+    }
+    Err(TrainError::resume(format!(
+        "its cameras had an extent of {before:.4}, and these have {now:.4}: it is another dataset"
+    )))
 }

@@ -1,14 +1,16 @@
-//! A trained scene with what is known of it: the run it comes from, and the dataset it was trained on.
+//! A scene with what is known of it: the run it comes from, and the dataset it was trained on.
 
 use std::path::{Path, PathBuf};
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::{BlendOrder, SceneData, SceneInfo};
+use dpges_render::Up;
+use dpges_render::export;
 use glam::{DVec3, Vec3};
 
 use super::folder::{RunFolder, RunFolderError};
 use super::metrics_log::MetricsLog;
-use crate::config::{Background, Config, ConfigError, DataConfig, DepthMaps};
+use crate::config::{Background, Config, ConfigError, DataConfig, DepthMaps, Upwards};
 use crate::dataset::source::{Source, SourceError};
 use crate::dataset::{Dataset, Split, View};
 use crate::views::pose::{RefinedPoses, refine};
@@ -23,6 +25,8 @@ pub enum SceneError {
     Absent { path: PathBuf },
     #[error("{} is not in a run folder: name its dataset with --data", .path.display())]
     NoDataset { path: PathBuf },
+    #[error("the dataset of the run is no longer at {}: name where it is now with --data", .dataset.display())]
+    Gone { dataset: PathBuf },
     #[error("{dataset} has no views in split `{split}`; `--split {other}` has views")]
     NoViews { dataset: String, split: Split, other: Split },
     #[error(transparent)]
@@ -42,37 +46,42 @@ type Result<T, E = SceneError> = std::result::Result<T, E>;
 pub struct Reading {
     /// Instead of that of the scene.
     pub background: Option<Background>,
+    /// Likewise.
+    pub up: Option<Upwards>,
     /// Keys of `[data]`, as `key=value`.
     pub assignments: Vec<String>,
 }
 
-/// A scene file, and the run it comes from where there is one.
+/// A scene in a file, and the run it comes from where there is one.
 pub struct Scene {
     pub path: PathBuf,
     pub data: SceneData,
     pub bytes: u64,
     run: Option<RunFolder>,
+    /// Whether the file says all of the scene: of splats of other programs a dataset knows more.
+    own: bool,
     /// Whether datasets are read for pinhole cameras alone.
     pinhole: bool,
 }
 
 impl Scene {
-    /// From a scene file or a run folder; a file in a run folder is the same as the folder.
+    /// From a scene file, a file of splats or a run folder; a file in a run folder is the same as the folder.
     ///
     /// # Errors
-    /// [`SceneError::Absent`], and those of [`SceneData::load`].
+    /// [`SceneError::Absent`], and those of [`export::open`].
     pub fn load(path: &Path) -> Result<Self> {
         let folder = RunFolder::new(if path.is_dir() { path } else { path.parent().unwrap_or(path) });
         let is_run = folder.config().is_file() && folder.origin().is_file();
         let path = Self::check(path)?;
-        let data = SceneData::load(&path)?;
+        let export::Opened { scene, own, left_out } = export::open(&path)?;
+        left_out.iter().for_each(|text| tracing::warn!("{}: {text}", path.display()));
         let bytes = path.metadata().map_or(0, |metadata| metadata.len());
-        Ok(Self { path, data, bytes, run: is_run.then_some(folder), pinhole: false })
+        Ok(Self { path, data: scene, bytes, run: is_run.then_some(folder), own, pinhole: false })
     }
 
     /// The coarsest level of a scene in levels of detail: it knows no run.
     pub fn of_levels(path: &Path, coarsest: SceneData) -> Self {
-        Self { path: path.to_owned(), data: coarsest, bytes: 0, run: None, pinhole: false }
+        Self { path: path.to_owned(), data: coarsest, bytes: 0, run: None, own: true, pinhole: false }
     }
 
     /// Reads photographs that were taken through a lens for pinhole cameras, whatever the run was trained with: what
@@ -127,8 +136,24 @@ impl Scene {
     /// # Errors
     /// If the file of poses is broken.
     pub fn refined_poses(&self, data: Option<&Path>) -> Result<RefinedPoses> {
-        let run = self.run.as_ref().filter(|_| data.is_none());
+        let run = self.run.as_ref().filter(|_| self.is_own(data));
         Ok(run.map(RunFolder::read_poses).transpose()?.flatten().unwrap_or_default())
+    }
+
+    /// Whether `data` is the dataset that the scene was trained on: none other, or where that is now if its folder is gone.
+    fn is_own(&self, data: Option<&Path>) -> bool {
+        let trained = self
+            .run
+            .as_ref()
+            .and_then(|run| run.read_origin().ok())
+            .map(|origin| Source::new(Path::new(&origin.dataset)));
+        match (data, trained) {
+            (None, _) => true,
+            (Some(data), Some(Source::Folder(folder))) => {
+                Source::new(data) == Source::Folder(folder.clone()) || !folder.exists()
+            }
+            (Some(data), trained) => trained.is_some_and(|trained| trained == Source::new(data)),
+        }
     }
 
     /// The configuration of the run that the scene comes from, where there is one.
@@ -139,9 +164,27 @@ impl Scene {
     /// Every how many-th of the `views` training views of the dataset the run that the scene comes from kept for its
     /// decisions: 0 if it kept none, or if the dataset is another one, `data`.
     fn validation_every(&self, data: Option<&Path>, views: usize) -> usize {
-        let file = self.run_config().filter(|_| data.is_none());
+        let file = self.run_config().filter(|_| self.is_own(data));
         let config = file.and_then(|file| Config::resolve(None, Some(&file), &[]).ok());
         config.map_or(0, |config| config.validation_every(views))
+    }
+
+    /// Sets the background and what is up as `options` ask for.
+    ///
+    /// # Errors
+    /// [`SceneError::Config`] for pictures without a background: nothing else can be.
+    pub fn show_as(&mut self, options: &Reading) -> Result<()> {
+        match options.background {
+            Some(Background::Colour(colour)) => self.data.info.background = colour,
+            Some(Background::Transparent) => {
+                return Err(Config::with(&["data.background=transparent"]).unwrap_err().into());
+            }
+            Some(Background::Auto) | None => {}
+        }
+        if let Some(Upwards::Along(up)) = options.up {
+            self.data.info.up = Some(up.direction().to_array());
+        }
+        Ok(())
     }
 
     /// The dataset to show the scene with, and how it is read: `data`, or that of the scene's run; `None` if there is
@@ -151,17 +194,18 @@ impl Scene {
     /// # Errors
     /// If the run does not say what it was trained on, or an option is wrong.
     pub fn dataset(&mut self, data: Option<&Path>, options: &Reading) -> Result<Option<(Source, DataConfig)>> {
+        self.show_as(options)?;
         let source = match (data, &self.run) {
             (Some(path), _) => Source::new(path),
-            (None, Some(run)) => Source::new(Path::new(&run.read_origin()?.dataset)),
+            (None, Some(run)) => match Source::new(Path::new(&run.read_origin()?.dataset)) {
+                Source::Folder(dataset) if !dataset.exists() => return Err(SceneError::Gone { dataset }),
+                source => source,
+            },
             (None, None) => return Ok(None),
         };
         let file = self.run.as_ref().map(RunFolder::config);
         let mut config = Config::resolve_data(file.as_deref(), &options.assignments)?;
-        match options.background {
-            Some(Background::Colour(colour)) => self.data.info.background = colour,
-            _ => config.background = Background::Colour(self.data.info.background),
-        }
+        config.background = Background::Colour(self.data.info.background);
         config.undistort |= self.pinhole;
         // only training looks at them
         config.depth = DepthMaps::None;
@@ -181,6 +225,7 @@ impl Scene {
         refine(&mut dataset.train, &self.refined_poses(data)?);
         let views = dataset.train.len();
         dataset.keep_for_validation(if apart { self.validation_every(data, views) } else { 0 });
+        self.learn_from(&dataset);
         let offset = dataset.offset;
         for view in dataset.train.iter_mut().chain(&mut dataset.test).chain(&mut dataset.validation) {
             view.camera = in_scene(view.camera, offset, &self.data.info);
@@ -190,6 +235,20 @@ impl Scene {
             *point = (Vec3::from_array(*point) - shift).to_array();
         }
         Ok((source, dataset))
+    }
+}
+
+impl Scene {
+    /// Takes from `dataset` what the file of the scene does not say.
+    fn learn_from(&mut self, dataset: &Dataset) {
+        let info = &mut self.data.info;
+        if !self.own {
+            (info.near, info.extent) = (dataset.near, dataset.extent);
+        }
+        if info.up.is_none() {
+            let up = Up::of_cameras(dataset.train.iter().map(|view| &view.camera));
+            info.up = up.map(|up| up.direction().to_array());
+        }
     }
 }
 

@@ -109,7 +109,7 @@ fn a_run_in_memory_trains_evaluates_and_leaves_a_scene_to_save() {
     let mut losses = Vec::new();
     let outcome = run.train(&mut |report: &StepReport| losses.push(report.loss)).unwrap();
     assert!(losses.len() == 30 && run.trainer().is_finished());
-    assert!((run.folder(), run.saved_step()) == (None, None) && outcome.seconds > 0.0);
+    assert!(run.folder().is_none() && run.saved_step().is_none() && outcome.seconds > 0.0);
     let evaluation = outcome.evaluation.unwrap();
     assert_eq!(
         (evaluation.surfels, evaluation.gaussians),
@@ -205,6 +205,33 @@ fn a_run_in_a_folder_is_resumed_to_identical_bytes() {
 }
 
 #[test]
+fn a_run_goes_on_for_longer_and_with_a_dataset_that_moved() {
+    let at = tempfile::tempdir().unwrap();
+    let folder = RunFolder::new(at.path());
+    in_folder(&SHORT, at.path()).train(&mut ()).unwrap();
+    let saved = || SavedRun::open(folder.clone()).unwrap();
+
+    let mut moved = saved();
+    moved.move_to("elsewhere".to_owned());
+    let other = Dataset { extent: 2.0 * dataset().extent, ..Dataset::clone(&dataset()) };
+    let refused = error(Run::resume(moved.clone(), other, device()));
+    assert!(refused.to_string().contains("it is another dataset"), "{refused}");
+    drop(Run::resume(moved, dataset(), device()).unwrap());
+    assert_eq!(saved().origin().dataset, "elsewhere");
+
+    assert!(error(saved().lengthen(29)).to_string().contains("30 of 30 steps are done"));
+    let mut longer = saved();
+    let begins = |saved: &SavedRun| saved.config().plan().iter().map(|stage| stage.begin).collect::<Vec<_>>();
+    let (before, said) = (begins(&longer), longer.lengthen(36).unwrap());
+    assert!(begins(&longer) == before && said.contains("after 75 % of it"), "{said}");
+    let outcome = Run::resume(longer, dataset(), device()).unwrap().train(&mut ()).unwrap();
+    let Evaluation { psnr, .. } = outcome.evaluation.unwrap();
+    assert_eq!((saved().completed_steps(), saved().config().train.steps), (36, 36));
+    let again: EvalReport = read_json(&folder.evaluation()).unwrap();
+    assert!(again.evaluation.psnr == psnr, "the scores are those of the longer run");
+}
+
+#[test]
 fn corrections_of_views_are_in_the_folder_and_scores_say_what_they_are_worth() {
     let at = tempfile::tempdir().unwrap();
     let folder = RunFolder::new(at.path().join("run"));
@@ -239,6 +266,7 @@ fn corrections_of_views_are_in_the_folder_and_scores_say_what_they_are_worth() {
     let lost = folder.read_poses().unwrap_err().to_string();
     assert!(lost.contains("poses.json") && lost.contains("`train_001`") && lost.contains("1e300"), "{lost}");
 
+    drop(corrected);
     let plain = run(&SHORT).overwrite(folder.clone(), Origin::new("builtin", "cpu"));
     plain.unwrap().train(&mut ()).unwrap();
     assert!(!folder.exposure().exists() && !folder.poses().exists());

@@ -32,10 +32,23 @@ impl Run {
     /// failed, others if a file cannot be written or a view cannot be rendered. A folder then has the last checkpoint.
     pub fn train(&mut self, observer: &mut dyn Observer) -> Result<Outcome, RunError> {
         self.started = Instant::now();
-        let result = self.train_to_the_end(observer);
+        let result =
+            self.train_to_the_end(observer).map_err(|error| if error.is_full() { self.rescue(error) } else { error });
         self.seconds_before = self.seconds();
         let (scene, evaluation) = result?;
         Ok(Outcome { scene, evaluation, seconds: self.seconds_before })
+    }
+
+    /// Keeps the state in the folder for temporary files if the disk of the run is full.
+    fn rescue(&mut self, error: RunError) -> RunError {
+        let settled = self.trainer.settle();
+        let step = self.trainer.completed_steps();
+        let rescued = (settled.is_ok() && self.saved != Some(step) && self.trainer.ranks().is_alone()).then(|| {
+            let name = self.folder.as_ref().and_then(|folder| folder.path().file_name()).unwrap_or_default();
+            let path = std::env::temp_dir().join(format!("dpges-{}-step-{step}.safetensors", name.to_string_lossy()));
+            self.trainer.checkpoint().save(&path).ok().map(|()| path)
+        });
+        RunError::DiskFull { source: Box::new(error), step, rescued: rescued.flatten() }
     }
 
     fn train_to_the_end(&mut self, observer: &mut dyn Observer) -> Result<(SceneData, Option<Evaluation>), RunError> {
@@ -235,7 +248,7 @@ impl Run {
             return Ok(None);
         }
         let (views, step, device) = (&dataset.test, self.trainer.completed_steps(), self.trainer.device());
-        let stems = file_stems(views);
+        let stems = file_stems(views.iter().map(|view| &*view.name));
         let measures = Measures { fitted: self.trainer.corrects_exposure(), ..measures };
         let shown = evenly_spaced(PICTURE_VIEWS, views.len());
         let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, measures, |index, render| {

@@ -38,6 +38,11 @@ pub enum Verdict {
 }
 
 impl Validation {
+    /// Waits for a better one again, if it had stopped to.
+    pub fn go_on(&mut self) {
+        (self.since, self.stopped) = (0, false);
+    }
+
     /// Takes note of the mean PSNR of the validation views after `step` steps, dB. The run ends after `patience`
     /// evaluations without a better one.
     pub fn observe(&mut self, step: usize, psnr: f64, patience: usize) -> Verdict {

@@ -116,7 +116,7 @@ mod tests {
         assert!(kept.iter().all(|name| trained.contains(name)));
         assert_eq!(decide(&["data.validation_every=4"], None, Some(Split::Validation)).1, kept);
         // of another dataset nothing was kept
-        assert_eq!(decide(&["data.validation_every=4"], Some(BUILTIN), None).0, Split::Train);
+        assert_eq!(decide(&["data.validation_every=4"], Some("builtin:lens=fisheye"), None).0, Split::Train);
         let (split, held_out) = decide(&[], None, Some(Split::Test));
         assert!(split == Split::Test && held_out.iter().all(|name| name.starts_with("test_")), "{split} {held_out:?}");
     }

@@ -122,7 +122,7 @@ impl BlendedStage {
             *momenta = Momenta::from_column(&column(&mut columns, MOMENTA, 3 * count)?, device);
         }
         stage.weighted_sum = weighted_sum.map_err(TrainError::resume)?;
-        stage.info.weighted_sum = info.weighted_sum;
+        stage.info = info;
         Ok(stage)
     }
 }

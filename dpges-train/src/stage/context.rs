@@ -4,12 +4,13 @@ use std::sync::Arc;
 use burn::tensor::Device;
 use dpges_core::ranks::Ranks;
 use dpges_core::scene::{BlendOrder, Rendering, SceneInfo, ScreenFilter};
+use dpges_render::Up;
 use glam::Vec3;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{Budget, Config, StagePlan};
+use crate::config::{Budget, Config, StagePlan, Upwards};
 use crate::dataset::{Dataset, MOST_PREFETCHED, prefetch};
 use crate::device::place::Place;
 use crate::stage::{DevicePhotographs, Stage, StepViews, Surroundings};
@@ -129,6 +130,11 @@ impl Context {
             weighted_sum: None,
             background: dataset.background,
             offset: dataset.offset.to_array(),
+            up: match self.config.data.up {
+                Upwards::Auto => Up::of_cameras(dataset.train.iter().map(|view| &view.camera)),
+                Upwards::Along(up) => Some(up),
+            }
+            .map(|up| up.direction().to_array()),
             extent: dataset.extent,
             near: dataset.near,
         }

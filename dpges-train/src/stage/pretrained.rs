@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use dpges_core::backend::device::largest_buffer;
 use dpges_core::ops::blend::Form;
 use dpges_core::render::room::Drawn;
-use dpges_core::scene::{Rendering, SceneData};
+use dpges_core::scene::{ColourData, ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
+use dpges_render::export::{MAX_DEGREE, Opened, flatten, open, to_harmonics};
 
 use super::{Context, TrainError};
-use crate::config::{Blended, Density, GaussianStage, StageKind, StagePlan, Stop};
+use crate::config::{Blended, Density, GaussianStage, Relocation, StageKind, StagePlan, Stop};
 
 /// Key of the file to take discs or surfels from.
 pub const SURFELS_FROM: &str = "stages.surfels_from";
@@ -22,8 +23,8 @@ impl Context {
     /// [`TrainError::Plan`] names what is missing or too large, [`TrainError::Pretrained`] a file that cannot be used.
     pub fn check_plan(&self, plan: &[StagePlan]) -> Result<(), TrainError> {
         plan.iter().try_for_each(|stage| self.check_room(stage))?;
+        self.say_what_is_lost()?;
         let surfels = self.pretrained(SURFELS_FROM)?;
-        self.pretrained(GAUSSIANS_FROM)?;
         if self.config.train.stop == Stop::Validation && self.dataset.validation.is_empty() {
             return Err(TrainError::Plan(
                 "train.stop = \"validation\" needs validation views, and the dataset has none: data.validation_every keeps \
@@ -114,36 +115,146 @@ impl Context {
         }
     }
 
-    /// The scene in the file that `key` names, if it names one.
+    /// The scene in the file that `key` names, if it names one, in the coordinates and with the colour model of this run. It may
+    /// be one of splats.
     ///
     /// # Errors
     /// [`TrainError::Pretrained`] if the file cannot be read, or its scene does not fit this run.
     pub fn pretrained(&self, key: &'static str) -> Result<Option<SceneData>, TrainError> {
+        Ok(self.given(key)?.map(|Opened { scene, .. }| {
+            let model = self.config.model.colour;
+            let SceneData { info, surfels, gaussians, environment } = scene.relocated(self.dataset.offset.to_array());
+            SceneData {
+                surfels: SurfelData { colour: recoloured(&surfels.colour, model), ..surfels },
+                gaussians: GaussianData { colour: recoloured(&gaussians.colour, model), ..gaussians },
+                info: SceneInfo { colour_model: model, ..info },
+                environment,
+            }
+        }))
+    }
+
+    /// The scene in the file that `key` names, as it is there.
+    fn given(&self, key: &'static str) -> Result<Option<Opened>, TrainError> {
         let stages = &self.config.stages;
         let path = if key == SURFELS_FROM { &stages.surfels_from } else { &stages.gaussians_from };
         if path.is_empty() {
             return Ok(None);
         }
         let wrong = |reason: String| TrainError::Pretrained { key, path: PathBuf::from(path), reason };
-        let scene = SceneData::load(Path::new(path)).map_err(|error| wrong(error.to_string()))?;
-        let (found, expected) = (scene.info.colour_model, self.config.model.colour);
-        if found != expected {
-            return Err(wrong(format!("its colours are {found}, those of this run are {expected} (model.colour)")));
-        }
-        let rendering = scene.info.rendering;
-        let (fits, what) = if key == SURFELS_FROM {
-            (matches!(rendering, Rendering::Peeled | Rendering::Discs), "surfels or discs")
-        } else {
-            (matches!(rendering, Rendering::Peeled | Rendering::Ellipsoids), "Gaussians that were blended or peeled")
+        let method = self.config.train.method.alone();
+        let refused = match (key, method) {
+            (SURFELS_FROM, Some(blended)) if blended != Blended::Discs => {
+                Some("Gaussians alone: --init-gaussians names them")
+            }
+            (GAUSSIANS_FROM, Some(Blended::Discs)) => Some("discs alone: --init-surfels names them"),
+            (GAUSSIANS_FROM, Some(Blended::Controlled(Density::Summed))) => {
+                Some("Gaussians whose weights no other scene has: it begins with the points of the dataset")
+            }
+            _ => None,
         };
-        if !fits {
-            return Err(wrong(format!("it is a scene of {rendering}, not of {what}")));
+        if let Some(what) = refused {
+            let option = if key == SURFELS_FROM { "--init-surfels" } else { "--init-gaussians" };
+            return Err(wrong(format!("{option} does not go with this method, which trains {what}")));
         }
-        let offset = self.dataset.offset.to_array();
-        if scene.info.offset != offset {
-            let found = scene.info.offset;
-            return Err(wrong(format!("its origin is {found:?} in the dataset, that of this run {offset:?}")));
+        let opened = open(Path::new(path)).map_err(|error| wrong(error.to_string()))?;
+        let (rendering, students) =
+            (opened.scene.info.rendering, method == Some(Blended::Relocated(Relocation::Student)));
+        let (fits, what) = match (key, rendering) {
+            (SURFELS_FROM, found) => (matches!(found, Rendering::Peeled | Rendering::Discs), "surfels or discs"),
+            (_, Rendering::Students) => (students, "Gaussians"),
+            (_, Rendering::Discs) => (method.is_some(), "Gaussians that were blended or peeled"),
+            (_, found) => (found != Rendering::Summed, "Gaussians that were blended or peeled"),
+        };
+        if fits { Ok(Some(opened)) } else { Err(wrong(format!("it is a scene of {rendering}, not of {what}"))) }
+    }
+
+    /// Says once of each file that takes the place of a stage what it leaves out, and which colours this run cannot hold.
+    fn say_what_is_lost(&self) -> Result<(), TrainError> {
+        let expected = self.config.model.colour;
+        for key in [SURFELS_FROM, GAUSSIANS_FROM] {
+            let Some(Opened { scene, left_out, .. }) = self.given(key)? else { continue };
+            left_out.iter().for_each(|text| tracing::warn!("`{key}`: {text}"));
+            let found = scene.info.colour_model;
+            if found.without_opacity() != expected {
+                tracing::warn!(
+                    "`{key}`: its colours are {found}, those of this run {expected}: they begin as near to them as can be (model.colour)"
+                );
+            }
         }
-        Ok(Some(scene))
+        Ok(())
+    }
+
+    /// Gaussians of a method alone in a file, which `most` may not exceed: those of a scene that was blended as they are, and of
+    /// others what shows the same when it is sorted.
+    ///
+    /// # Errors
+    /// [`TrainError::Pretrained`].
+    pub fn given_gaussians(&self, most: usize) -> Result<Option<GaussianData>, TrainError> {
+        let Some(scene) = self.pretrained(GAUSSIANS_FROM)? else { return Ok(None) };
+        let wrong = |reason: String| {
+            let path = PathBuf::from(&self.config.stages.gaussians_from);
+            TrainError::Pretrained { key: GAUSSIANS_FROM, path, reason }
+        };
+        let gaussians = match scene.info.rendering {
+            Rendering::Ellipsoids | Rendering::Students => scene.gaussians,
+            _ => {
+                let splats = flatten(&scene, MAX_DEGREE).map_err(|error| wrong(error.to_string()))?;
+                let gaussians = splats.to_scene().gaussians;
+                GaussianData { colour: recoloured(&gaussians.colour, self.config.model.colour), ..gaussians }
+            }
+        };
+        let count = gaussians.len();
+        if count > most {
+            return Err(wrong(format!(
+                "it has {count} Gaussians, and the budget has room for {most}: set refine.budget to {count}"
+            )));
+        }
+        Ok(Some(gaussians))
+    }
+}
+
+/// `colour` as near as `model` can have it: harmonics of another degree, lobes as harmonics, and of harmonics the base colour.
+fn recoloured(colour: &ColourData, model: ColourModel) -> ColourData {
+    match (colour.model.without_opacity(), model) {
+        (found, model) if found == model => ColourData { model, ..colour.clone() },
+        (_, ColourModel::SphericalHarmonics { degree }) => to_harmonics(colour, degree),
+        (found, model) => {
+            let count = colour.base.len() / 3;
+            let mut new = GaussianData::neutral(model, count).colour;
+            new.base = colour.base.clone();
+            if let (ColourModel::SphericalBeta { .. }, ColourModel::SphericalBeta { .. }) = (found, model) {
+                let (old, wide) = (found.detail_len(), model.detail_len());
+                for row in 0..count {
+                    let kept = old.min(wide);
+                    new.detail[row * wide..][..kept].copy_from_slice(&colour.detail[row * old..][..kept]);
+                }
+            }
+            new
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_of_files_become_those_of_the_run() {
+        let [beta, harmonics] = ["sb2", "sh1"].map(|name| name.parse::<ColourModel>().unwrap());
+        let mut colour = GaussianData::neutral(beta, 2).colour;
+        colour.base = vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+        colour.detail[..6].copy_from_slice(&[1.0, 0.5, 0.2, 0.7, 0.1, 0.3]);
+        assert_eq!(recoloured(&colour, beta), colour);
+        let fewer = recoloured(&colour, "sb1".parse().unwrap());
+        assert_eq!((&fewer.detail[..6], &fewer.base), (&colour.detail[..6], &colour.base));
+        let as_harmonics = recoloured(&colour, harmonics);
+        assert_eq!((as_harmonics.model, as_harmonics.detail.len()), (harmonics, 18));
+        // lobes add to the mean, and a bright one to one direction
+        let [lit, plain] = [0, 3].map(|at| as_harmonics.base[at]);
+        assert!(lit - 1.0 > 2.0 * (plain - 4.0) && plain >= 4.0, "{lit} {plain}");
+        assert!(as_harmonics.detail[..9].iter().any(|k| k.abs() > 0.01));
+        let more = recoloured(&as_harmonics, "sh3".parse().unwrap());
+        assert_eq!((&more.detail[..9], &more.detail[9..45]), (&as_harmonics.detail[..9], &[0.0; 36][..]));
+        assert_eq!(recoloured(&more, beta).base, more.base);
     }
 }

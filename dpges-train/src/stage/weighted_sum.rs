@@ -27,9 +27,8 @@ const fn number(name: &'static str) -> Attribute {
 const ATTRIBUTES: [&Attribute; 3] =
     [&number("weighted_sum.sigma"), &number("weighted_sum.beta"), &number("weighted_sum.background")];
 
-/// σ of linear weights at the start, world units, or so many extents if that is more: cameras see across the scene.
-const SIGMA: f64 = 10.0;
-const LEAST_SIGMA: f64 = 2.0;
+/// σ of linear weights at the start, extents: cameras see across the scene.
+const SIGMA: f64 = 2.0;
 /// w_b at the start (the re-implementation of SortFreeGS) and at least (ours), and its learning rate. Gaussians weigh 1 / 255
 /// where they end: with a w_b far below that they are as bright at their edges as in their middle, and no gradient tells them
 /// to grow over a hole beside them.
@@ -45,7 +44,7 @@ const BETA_SHARE: f64 = 2.0;
 /// Depth at which linear weights end at the start, and at which exponential ones are 1 / e, in a scene of `extent` (world
 /// units).
 fn reach(extent: f64) -> f64 {
-    SIGMA.max(LEAST_SIGMA * extent)
+    SIGMA * extent
 }
 
 /// The weighted sum that a run in a scene of `extent` (world units) begins with.
@@ -155,17 +154,17 @@ mod tests {
     fn exponential_weights_move_as_fast_as_linear_ones() {
         let device = device();
         let started = |weight, extent| WeightedSumState::new(&start(weight, extent), &device);
-        assert_eq!(start(DepthWeight::Linear, 3.0), WeightedSum::default());
+        assert_eq!(start(DepthWeight::Linear, 5.0), WeightedSum::default());
         assert_eq!(start(DepthWeight::Linear, 50.0).sigma, 100.0);
         let close = |found: [f64; 3], expected: [f64; 3]| {
             assert!(found.iter().zip(expected).all(|(a, b)| (a / b - 1.0).abs() < 1e-9), "{found:?}");
         };
-        let linear = started(DepthWeight::Linear, 3.0);
-        close(linear.rates(0.0, 3.0), [3e-3, 2.0 * 3e-4, 0.01]);
-        close(linear.rates(0.5, 3.0), [3e-4, 2.0 * 3e-5, 0.01]);
-        close(linear.rates(1.0, 3.0), [3e-5, 2.0 * 3e-6, 0.01]);
-        assert_eq!(start(DepthWeight::Exponential, 3.0).sigma, 0.1);
-        close(started(DepthWeight::Exponential, 3.0).rates(0.0, 3.0), [3e-5, 2.0 * 3e-4, 0.01]);
+        let linear = started(DepthWeight::Linear, 5.0);
+        close(linear.rates(0.0, 5.0), [5e-3, 1e-3, 0.01]);
+        close(linear.rates(0.5, 5.0), [5e-4, 1e-4, 0.01]);
+        close(linear.rates(1.0, 5.0), [5e-5, 1e-5, 0.01]);
+        assert_eq!(start(DepthWeight::Exponential, 5.0).sigma, 0.1);
+        close(started(DepthWeight::Exponential, 5.0).rates(0.0, 5.0), [5e-5, 1e-3, 0.01]);
     }
 
     #[test]

@@ -41,7 +41,7 @@ pub fn write(out: &Path, cells: &[&Cell], views: &[View], device: &Device) -> Re
         }
     }
     std::fs::create_dir_all(out.join(FOLDER))?;
-    let stems = file_stems(views);
+    let stems = file_stems(views.iter().map(|view| &*view.name));
     let mut figures = Vec::new();
     for (index, (&at, renders)) in chosen.iter().zip(&renders).enumerate() {
         let (file, view) = (format!("{FOLDER}/{}.png", stems[at]), &views[at]);

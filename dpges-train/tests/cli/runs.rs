@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 use super::{
-    TINY, assert_contains, bytes, content, fails, folder, is_equal, json, json_of, metrics, ok, png_names, train,
+    TINY, assert_contains, both, bytes, content, fails, folder, is_equal, json, json_of, metrics, ok, png_names, train,
     trained,
 };
 
@@ -99,21 +99,33 @@ fn a_finished_run_resumes_to_itself_and_contradictions_are_refused() {
     assert!(ok(at, &["train", "--out", "run", "--resume"]).contains("held-out PSNR"));
     assert!(is_equal(at.join("run/scene.safetensors"), at.join("before.safetensors")));
     assert_eq!(metrics(&at.join("run")), lines);
-    let message = fails(at, 2, &["train", "--out", "run", "--resume", "--steps", "70"]);
-    assert!(message.contains("`train.steps` is 60, not 70"), "{message}");
-    assert!(fails(at, 2, &["train", "data", "--out", "run", "--resume"]).contains("builtin"));
+    let message = fails(at, 1, &["train", "--out", "run", "--resume", "--steps", "50"]);
+    assert!(message.contains("60 of 60 steps are done") && message.contains("only be made longer"), "{message}");
     assert!(fails(at, 2, &["train", "--out", "run", "--resume", "--preset", "cpu"]).contains("`init.max_points`"));
     std::fs::write(at.join("run/checkpoint.safetensors"), "half").unwrap();
     assert!(fails(at, 1, &["train", "--out", "run", "--resume"]).contains("checkpoint.safetensors"));
 }
 
 #[test]
-fn a_step_that_is_not_finite_ends_the_run_with_the_state_before_it() {
+fn a_finished_run_is_made_longer() {
+    let at = &folder();
+    trained(at, "run");
+    let (table, said) = both(at, &["train", "--out", "run", "--resume", "--steps", "70"]);
+    assert_contains(&said, &["goes on from step 60", "a run of 70 steps", "learning rates rise again"]);
+    assert!(table.contains("70 steps"), "{table}");
+    assert_eq!(metrics(&at.join("run")).last().unwrap()["step"], 70);
+    assert!(content(at.join("run/config.toml")).contains("steps = 70"));
+    ok(at, &["train", "--out", "run", "--resume", "--steps", "75", "--quiet"]);
+    assert_eq!(metrics(&at.join("run")).last().unwrap()["step"], 75);
+    assert!(at.join("run/eval.json").is_file());
+}
+
+#[test]
+fn a_step_that_is_not_finite_ends_the_run() {
     let at = &folder();
     let broken =
         [&["train", "--out", "run", "--set=train.lambda_surfel=1e39", "--set=stages.gaussians=0"], &TINY[..]].concat();
     let message = fails(at, 1, &broken);
     assert!(message.contains("step 1, view `train_") && message.contains("the loss is inf"), "{message}");
-    assert!(message.contains("checkpoint.safetensors holds the state after step 0"), "{message}");
-    assert!(json_of(at, &["info", "run", "--json"])["gaussians"].as_u64().unwrap() > 0);
+    assert!(message.contains("there was no checkpoint yet: train.checkpoint_every"), "{message}");
 }

@@ -135,6 +135,8 @@ fn what_is_missing_is_named() {
 #[test]
 fn a_folder_of_something_else_says_what_was_looked_for() {
     let at = &stage();
+    // with the photographs it would be a dataset
+    std::fs::remove_dir_all(at.join("model")).unwrap();
     std::fs::create_dir(at.join("papers")).unwrap();
     std::fs::write(at.join("papers/thesis.txt"), "").unwrap();
     let commands: [&[&str]; 4] = [
@@ -144,8 +146,14 @@ fn a_folder_of_something_else_says_what_was_looked_for() {
         &["compare", "papers", "--device=cpu", "--out=study"],
     ];
     for command in commands {
-        let parts =
-            ["papers is no dataset", "sparse/", "transforms.json", "JPEG or PNG", "found thesis.txt", "by COLMAP"];
+        let parts = [
+            "papers is no dataset",
+            "sparse/",
+            "transforms.json",
+            "JPEG, PNG or WebP",
+            "found thesis.txt",
+            "by COLMAP",
+        ];
         assert_contains(&fails(at, 1, command), &parts);
     }
     let message = fails(at, 1, &["train", ".", "--device=cpu"]);

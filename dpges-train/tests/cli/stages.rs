@@ -27,9 +27,27 @@ fn what_a_method_trains_alone_can_be_a_beginning() {
     let swapped = ["train", "--out=no", "--max-resolution=32", "--init-gaussians=discs/scene.safetensors"];
     let message = fails(at, 1, &swapped);
     assert!(message.contains("stages.gaussians_from") && message.contains("a scene of discs"), "{message}");
-    let other = [&["train", "--out=no", "--max-resolution=32", "--set=model.colour=sh1"], &files[..]].concat();
-    assert!(fails(at, 1, &other).contains("its colours are sb2"));
+    for (method, option, instead) in
+        [("2dgs", "gaussians", "surfels"), ("mcmc", "surfels", "gaussians"), ("sortfree", "gaussians", "")]
+    {
+        let file = format!("--init-{option}=both/scene.safetensors");
+        let message = fails(at, 1, &["train", "--out=no", "--max-resolution=32", "--method", method, &file]);
+        assert_contains(&message, &[&format!("--init-{option} does not go with this method"), instead]);
+    }
     assert!(!at.join("no").exists());
+    // what was peeled is sorted from its first step on, and splats of a file are a beginning too
+    ok(at, &["export", "gaussians", "--format=ply", "--fit=0", "--out=splats.ply", "--device=cpu"]);
+    for (run, method, from) in [
+        ("sorted", "3dgs", "both/scene.safetensors"),
+        ("again", "mcmc", "splats.ply"),
+        ("joint", "dpges", "splats.ply"),
+    ] {
+        let from = format!("--init-gaussians={from}");
+        train(at, run, &[&short[..], &["--method", method, &from, "--steps=1"]].concat());
+        let [begun, given] = [run, if run == "sorted" { "both" } else { "gaussians" }]
+            .map(|run| json(at.join(run).join("eval.json"))["psnr"].as_f64().unwrap());
+        assert!(begun > given - 2.5, "{run} begins at {begun} dB, its file has {given}");
+    }
 }
 
 #[test]

@@ -19,7 +19,7 @@
 //! [`BlendOrder::Centres`]: all pixels share one order of primitives, by depth of the centre, then by index.
 //!
 //! [`BlendOrder::Rays`], of ellipsoids (StopThePop): a pixel has an order of its own, by the depth along its ray
-//! `t* = dᵀ Σ⁻¹ (μ − o) / max(1e-5, dᵀ Σ⁻¹ d)`, with d the unit vector of the ray and scales of at least 1e-3 in Σ. A
+//! `t* = dᵀ Σ⁻¹ (μ − o) / dᵀ Σ⁻¹ d`, with d the unit vector of the ray and scales of at least 2.5e-4 |μ − o| in Σ. A
 //! fragment with t* below 0 does not exist. The order is made in steps:
 //!
 //! 1. The list of a tile is sorted by t* on the ray through the point of the tile at which α is largest, then as by centres.
@@ -116,12 +116,12 @@ pub const CORE_ALPHA: f64 = 0.05;
 /// Most entries of the queues of a block of 4 × 4 px, of a quad of 2 × 2 px and of a pixel (StopThePop).
 pub const QUEUES: [usize; 3] = [64, 8, 4];
 
-/// Depth that distortion maps to 1, world units, unless the near plane is close to it (2DGS).
-pub const FAR: f64 = 100.0;
+/// Depth that distortion maps to 1, near planes (2DGS: 100 world units where the near plane is at 0.2).
+pub const FAR: f64 = 500.0;
 
-/// Depth that distortion maps to 1: m = far / (far − near) · (1 − near / z). [`FAR`], but at least 10 · `near`.
+/// Depth that distortion maps to 1: m = far / (far − near) · (1 − near / z).
 pub fn far(near: f64) -> f64 {
-    FAR.max(10.0 * near)
+    FAR * near
 }
 
 /// Form of the primitives.

@@ -101,7 +101,7 @@ impl SceneData {
     pub fn to_compressed(&self, quality: &Quality, path: &Path) -> Result<Vec<u8>> {
         let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
         quality.check()?;
-        self.check_to_save(path)?;
+        self.validate(path)?;
         if self.info.rendering == Rendering::Students {
             return Err(wrong(
                 "a scene of Student's t kernels (SSS) cannot be compressed; save it as it is".to_owned(),

@@ -231,7 +231,9 @@ fn headers_that_lie_are_told() {
     assert!(without("info").contains("metadata `info` is missing"));
     let newer = refusal(&with_metadata(&bytes, "version", |_| Some("2".to_owned())));
     assert!(newer.contains("version 2 is unknown, expected 1"), "{newer}");
-    let other = refusal(&with_metadata(&bytes, "format", |_| Some("dpges-scene".to_owned())));
+    let other = with_metadata(&bytes, "format", |_| Some("dpges-scene".to_owned()));
+    assert!(refusal(&other).contains("version 1 is unknown, expected 3 or 2"));
+    let other = refusal(&with_metadata(&other, "version", |_| Some("2".to_owned())));
     assert!(other.contains("`surfels."), "{other}");
     let other_model = refusal(&with_metadata(&bytes, "info", |old| Some(old.replace("sb2", "sh2"))));
     assert!(other_model.contains("`surfels.colour.detail` is missing"), "{other_model}");

@@ -1,6 +1,6 @@
 //! Depths of many views fused into a truncated signed distance field (Curless and Levoy 1996).
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 
 use dpges_core::camera::Camera;
 use glam::DVec3;
@@ -10,6 +10,7 @@ use super::super::error::ExportError;
 use super::TriangleMesh;
 use super::field::{BLOCK, BLOCK_LEN, Block, BlockKey, Field};
 use super::surface::extract;
+use crate::percentile::percentiles;
 
 /// Distances from a surface end here, voxels. At least 2; noise of the depths asks for more.
 const TRUNCATION_VOXELS: f64 = 4.0;
@@ -33,6 +34,80 @@ impl FusionOptions {
     }
 }
 
+/// Points of the surfaces that are to be fused, from which the size of voxels follows.
+#[derive(Debug, Default)]
+pub struct SurfaceSample {
+    /// With unit directions from the camera.
+    points: Vec<(DVec3, DVec3)>,
+    /// Sizes of pixels there, world units.
+    pixels: Vec<f64>,
+}
+
+/// Blocks have to be so many times fewer than there is room for: a sample does not touch all of them.
+const SAMPLE_RESERVE: f64 = 1.5;
+/// Voxels over the median size of a pixel: finer ones show noise, coarser ones less than the views.
+const VOXEL_PIXELS: f64 = 1.5;
+
+impl SurfaceSample {
+    /// Adds every `stride`-th pixel of a view both ways, up to the depth `farthest`.
+    ///
+    /// # Errors
+    /// [`ExportError::View`].
+    pub fn add(&mut self, view: &DepthView<'_>, stride: usize, farthest: f64) -> Result<(), ExportError> {
+        view.check()?;
+        let camera = view.camera;
+        for y in (stride / 2..camera.height).step_by(stride) {
+            for x in (stride / 2..camera.width).step_by(stride) {
+                let Some(depth) = view.at(x, y).filter(|&depth| depth <= farthest) else { continue };
+                let point = camera.unproject(x as f64 + 0.5, y as f64 + 0.5, depth);
+                self.points.push((point, (point - camera.centre()).normalize()));
+                self.pixels.push(depth / camera.fy);
+            }
+        }
+        Ok(())
+    }
+
+    /// The size of voxels that show what the views show, or the smallest of which there may be `max_voxels`; world units.
+    ///
+    /// # Errors
+    /// [`ExportError::NoSurface`] of no points.
+    pub fn voxel(&self, max_voxels: usize) -> Result<f64, ExportError> {
+        let [pixel] = percentiles(self.pixels.clone(), [0.5]).ok_or(ExportError::NoSurface)?;
+        Ok(self.smallest_voxel(VOXEL_PIXELS * pixel, max_voxels))
+    }
+
+    /// The smallest size of voxels from `wanted` on of which there may be `max_voxels`, world units, rounded up to two digits.
+    pub fn smallest_voxel(&self, wanted: f64, max_voxels: usize) -> f64 {
+        let most = (max_voxels as f64 / (SAMPLE_RESERVE * BLOCK_LEN as f64)) as usize;
+        let fits = |voxel: f64| {
+            let mut keys = HashSet::new();
+            for (point, direction) in &self.points {
+                keys.extend(keys_along(*point, *direction, voxel));
+                if keys.len() > most {
+                    return false;
+                }
+            }
+            true
+        };
+        let mut voxel = wanted;
+        while !fits(voxel) {
+            voxel *= 1.1;
+        }
+        let digit = 10f64.powf(voxel.log10().floor() - 1.0);
+        if voxel == wanted { voxel } else { (voxel / digit).ceil() * digit }
+    }
+}
+
+/// Blocks of `voxel` world units within the truncation of a surface at `point`, on the ray in `direction`.
+fn keys_along(point: DVec3, direction: DVec3, voxel: f64) -> impl Iterator<Item = BlockKey> {
+    let reach = TRUNCATION_VOXELS.ceil() as i32;
+    let key = move |step: i32| {
+        let sample = (point + f64::from(step) * voxel * direction) / (f64::from(BLOCK) * voxel);
+        sample.to_array().map(|x| x.floor() as i32)
+    };
+    (-reach..=reach).map(key)
+}
+
 /// Surfels from one camera, in the coordinates of the scene.
 #[derive(Clone, Copy, Debug)]
 pub struct DepthView<'a> {
@@ -49,7 +124,6 @@ pub struct DepthView<'a> {
 pub struct Fusion {
     options: FusionOptions,
     field: Field,
-    views: usize,
 }
 
 impl Fusion {
@@ -59,7 +133,7 @@ impl Fusion {
         if !(options.voxel.is_finite() && options.voxel > 0.0) {
             return Err(ExportError::Voxel { found: options.voxel });
         }
-        Ok(Self { options, field: Field::default(), views: 0 })
+        Ok(Self { options, field: Field::default() })
     }
 
     /// Fuses one more view.
@@ -69,13 +143,12 @@ impl Fusion {
     /// needs more memory than the options allow; then it is not fused.
     pub fn add(&mut self, view: &DepthView<'_>) -> Result<(), ExportError> {
         view.check()?;
-        self.views += 1;
         let options = &self.options;
         let keys: Vec<BlockKey> =
             view.blocks(options).into_iter().filter(|key| !self.field.places.contains_key(key)).collect();
         if (self.field.blocks.len() + keys.len()) * BLOCK_LEN > options.max_voxels {
             let FusionOptions { voxel, max_voxels, .. } = *options;
-            return Err(ExportError::TooManyVoxels { voxel, views: self.views, limit: max_voxels });
+            return Err(ExportError::TooManyVoxels { voxel, limit: max_voxels });
         }
         keys.into_iter().for_each(|key| self.field.insert(key));
         self.field.blocks.par_iter_mut().for_each(|block| view.fuse(options, block));
@@ -114,18 +187,12 @@ impl DepthView<'_> {
     /// Blocks within the truncation of a surface, in order.
     fn blocks(&self, options: &FusionOptions) -> BTreeSet<BlockKey> {
         let camera = self.camera;
-        let (eye, side) = (camera.centre(), f64::from(BLOCK) * options.voxel);
         let row = |y: usize| {
             let mut keys = BTreeSet::new();
             for x in 0..camera.width {
                 let Some(depth) = self.at(x, y).filter(|&depth| depth <= options.farthest) else { continue };
                 let point = camera.unproject(x as f64 + 0.5, y as f64 + 0.5, depth);
-                let along = (point - eye).normalize() * options.voxel;
-                let reach = TRUNCATION_VOXELS.ceil() as i32;
-                for step in -reach..=reach {
-                    let sample = (point + f64::from(step) * along) / side;
-                    keys.insert(sample.to_array().map(|x| x.floor() as i32));
-                }
+                keys.extend(keys_along(point, (point - camera.centre()).normalize(), options.voxel));
             }
             keys
         };
@@ -203,7 +270,6 @@ fn neighbours(position: f64, size: usize) -> [(usize, f64); 2] {
 mod tests {
     use dpges_core::camera::CameraFromWorld;
 
-    use super::super::depth_map;
     use super::*;
     use crate::fixtures::{directions, pinhole};
 
@@ -285,19 +351,21 @@ mod tests {
     }
 
     #[test]
-    fn the_mesh_seen_again_has_the_depth_it_was_made_of() {
-        let mesh = fused(FusionOptions::new(0.04)).unwrap();
-        let camera = &cameras()[7];
-        let (found, [expected, ..]) = (depth_map(&mesh, camera), ball(camera));
-        let both: Vec<f32> =
-            found.iter().zip(&expected).filter(|(a, b)| **a > 0.0 && **b > 0.0).map(|(a, b)| (a - b).abs()).collect();
-        let seen = expected.iter().filter(|depth| **depth > 0.0).count();
-        assert!(both.len() > seen * 97 / 100, "{} of {seen}", both.len());
-        assert!(both.iter().sum::<f32>() / (both.len() as f32) < 0.006);
-    }
-
-    #[test]
     fn what_does_not_fit_into_memory_is_told_before_it_is_taken() {
+        let (camera, mut sample) = (&cameras()[0], SurfaceSample::default());
+        let plane = vec![2.0; 80 * 80];
+        let view = DepthView { camera, depth: &plane, coverage: &vec![1.0; 80 * 80], colour: &vec![0.5; 3 * 80 * 80] };
+        sample.add(&view, 2, 10.0).unwrap();
+        // pixels of 2 / 95 world units
+        assert!((sample.voxel(usize::MAX).unwrap() - 1.5 * 2.0 / 95.0).abs() < 1e-12);
+        let smallest = sample.smallest_voxel(0.001, 300 * BLOCK_LEN);
+        let fits = |voxel: f64| {
+            Fusion::new(FusionOptions { max_voxels: 300 * BLOCK_LEN, ..FusionOptions::new(voxel) })
+                .unwrap()
+                .add(&view)
+                .is_ok()
+        };
+        assert!(fits(smallest) && !fits(0.6 * smallest), "{smallest}");
         let error = fused(FusionOptions { max_voxels: 100 * BLOCK_LEN, ..FusionOptions::new(0.01) }).unwrap_err();
         assert!(error.to_string().contains("voxels of 0.01 world units are too small"), "{error}");
         assert!(matches!(fused(FusionOptions::new(0.0)), Err(ExportError::Voxel { .. })));

@@ -3,14 +3,12 @@
 //!
 //! A mesh shows surfels only: details of Gaussians are missing, and holes stay holes.
 
-mod depth_map;
 mod field;
 mod file;
 mod fusion;
 mod surface;
 
-pub use depth_map::depth_map;
-pub use fusion::{DepthView, Fusion, FusionOptions};
+pub use fusion::{DepthView, Fusion, FusionOptions, SurfaceSample};
 
 /// Triangles with a colour and a normal at every vertex, in the coordinates of the scene.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -62,7 +62,8 @@ impl Streams {
         ])
     }
 
-    pub fn to_cloud(&self, degree: usize, fractional_bits: u8) -> SplatCloud {
+    /// Harmonics of `degree`, of the `stored` coefficients above the base colour. Rotations may be those of version 2.
+    pub fn to_cloud(&self, degree: usize, stored: usize, fractional_bits: u8, old_rotations: bool) -> SplatCloud {
         let [positions, alphas, colours, scales, rotations, harmonics] = &self.0;
         let unit = f64::from(1u32 << fractional_bits);
         let coordinate = |&[a, b, c]: &[u8; 3]| {
@@ -73,17 +74,19 @@ impl Streams {
         let coordinates: Vec<f32> = positions.as_chunks::<3>().0.iter().map(coordinate).collect();
         let log_scales = |bytes: &[u8; 3]| bytes.map(|s| SMALLEST_LOG_SCALE + LOG_SCALE_STEP * f32::from(s));
         let base = |k0: u8| (f32::from(k0) / 255.0 - 0.5) / COLOUR_SCALE;
-        let width = 3 * (coefficient_count(degree) - 1);
+        let kept = 3 * (coefficient_count(degree) - 1);
         let coefficients = |(row, colour): (usize, &[u8; 3])| {
-            let rest = &harmonics[row * width..(row + 1) * width];
+            let rest = &harmonics[3 * row * stored..][..kept];
             let rest = rest.iter().map(|&k| (f32::from(k) - 128.0) / 128.0);
             colour.map(base).into_iter().chain(rest).collect::<Vec<_>>()
         };
+        let quaternions = match old_rotations {
+            true => rotations.as_chunks::<3>().0.iter().map(|&q| old_quaternion(q)).collect(),
+            false => rotations.as_chunks::<4>().0.iter().map(|&q| unpack_quaternion(u32::from_le_bytes(q))).collect(),
+        };
         SplatCloud {
             positions: coordinates.as_chunks::<3>().0.to_vec(),
-            quaternions: (rotations.as_chunks::<4>().0.iter())
-                .map(|&q| unpack_quaternion(u32::from_le_bytes(q)))
-                .collect(),
+            quaternions,
             log_scales: scales.as_chunks::<3>().0.iter().map(log_scales).collect(),
             opacities: alphas.iter().map(|&o| f32::from(o) / 255.0).collect(),
             degree,
@@ -113,6 +116,11 @@ fn pack_quaternion([w, x, y, z]: [f32; 4]) -> u32 {
         let magnitude = (QUATERNION_STEPS * xyzw[i].abs() * std::f32::consts::SQRT_2).round().min(QUATERNION_STEPS);
         packed << 10 | u32::from(negative) << 9 | magnitude as u32
     })
+}
+
+fn old_quaternion(xyz: [u8; 3]) -> [f32; 4] {
+    let [x, y, z] = xyz.map(|component| f32::from(component) / 127.5 - 1.0);
+    [(1.0 - x * x - y * y - z * z).max(0.0).sqrt(), x, y, z]
 }
 
 fn unpack_quaternion(packed: u32) -> [f32; 4] {

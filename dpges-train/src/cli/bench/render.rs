@@ -15,7 +15,7 @@ use dpges_train::run::folder::write_json;
 
 use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_choice::watched;
-use super::super::{Result, device_choice, print};
+use super::super::{Result, device_choice, hold_report, print};
 
 /// Measure frames per second of a scene over the cameras of a dataset
 #[derive(Debug, Args)]
@@ -52,6 +52,7 @@ pub struct BenchRenderArgs {
 }
 
 pub fn run(args: &BenchRenderArgs) -> Result<()> {
+    let _held = hold_report(args.json.as_deref())?;
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
     let (_, views) = args.views.choice().load(&mut scene)?;

@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_choice::{DeviceArgs, watched};
-use super::super::{Failure, Result, print, table};
+use super::super::{Failure, Result, hold_report, print, table};
 
 /// Name of the synthetic scene of the benchmarks.
 const REALISTIC: &str = "realistic";
@@ -78,6 +78,7 @@ struct Report {
 }
 
 pub fn run(args: &BenchStepArgs) -> Result<()> {
+    let _held = hold_report(args.json.as_deref())?;
     let device = args.device.select()?;
     watched(device, || {
         let opened = device.open()?;

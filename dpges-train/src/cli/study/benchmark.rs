@@ -7,6 +7,7 @@ use clap::{Args, value_parser};
 use dpges_train::dataset::source::Source;
 use dpges_train::device::DeviceRequest;
 use dpges_train::run::child::end_with_the_other;
+use dpges_train::run::interrupts;
 use dpges_train::study::benchmark::layout::Asked;
 use dpges_train::study::benchmark::protocol::Protocol;
 use dpges_train::study::benchmark::published::{PUBLISHED, WAYS};
@@ -16,7 +17,6 @@ use super::Training;
 use crate::cli::device_choice::watched;
 use crate::cli::logging::LogStyle;
 use crate::cli::lpips::LpipsArgs;
-use crate::cli::train::display::watch_for_interrupts;
 use crate::cli::train::options::factor;
 use crate::cli::{Result, device_choice, print};
 
@@ -90,7 +90,7 @@ pub fn run(args: BenchmarkArgs, style: LogStyle) -> Result<()> {
         return print(&benchmark.write_slurm(folder, args.devices[0])?);
     }
     benchmark.study()?;
-    let trained = if args.tables { Ok(()) } else { benchmark.run(&args.devices, &*watch_for_interrupts()?) };
+    let trained = if args.tables { Ok(()) } else { benchmark.run(&args.devices, &*interrupts::watch()?) };
     let report = benchmark.report()?;
     style.print(&report)?;
     Ok(trained?)
@@ -104,7 +104,7 @@ fn work(benchmark: &Benchmark, device: DeviceRequest, style: LogStyle) -> Result
     let cell = benchmark.cell(planned)?;
     let name = device_choice::select(device)?;
     let source = Source::named(Some(&planned.scene.path));
-    let mut training = Training::new(source, &cell.config, name, name.open()?, style, watch_for_interrupts()?)?;
+    let mut training = Training::new(source, &cell.config, name, name.open()?, style, interrupts::watch()?)?;
     training.train(&cell, &mut ())?;
     watched(name, || Ok(benchmark.measure(planned, &cell, &training.dataset, (name, &training.device))?))
 }

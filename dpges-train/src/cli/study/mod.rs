@@ -16,8 +16,9 @@ use dpges_train::config::{Config, DataConfig};
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
 use dpges_train::run::folder::Origin;
+use dpges_train::run::hold::Hold;
 use dpges_train::run::jobs::State;
-use dpges_train::run::{Observer, Run, SavedRun};
+use dpges_train::run::{Observer, Run, SavedRun, interrupts};
 use dpges_train::study::cell::{Cell, Plan};
 use dpges_train::study::evaluated::{self, Further};
 use dpges_train::study::store::Study;
@@ -28,7 +29,6 @@ use super::data::Source;
 use super::device_choice::{DeviceArgs, watched};
 use super::logging::LogStyle;
 use super::lpips::LpipsArgs;
-use super::train::display::watch_for_interrupts;
 use super::train::options::ConfigArgs;
 use super::train::say_resumed;
 use super::train::session::Session;
@@ -88,11 +88,12 @@ impl StudyArgs {
     fn load(&self, config: &Config, style: LogStyle) -> Result<Training> {
         let name = self.device.select()?;
         sfm::prepare(self.dataset.as_deref(), &self.options.sfm(config), style)?;
-        Training::new(self.source(), config, name, name.open()?, style, watch_for_interrupts()?)
+        Training::new(self.source(), config, name, name.open()?, style, interrupts::watch()?)
     }
 
     /// Trains what is left of `variants`, measures all, and completes and reports `study`.
     fn conduct(&self, mut study: Study, variants: &[Variant], mut training: Training) -> Result<()> {
+        let _held = Hold::of_folder(self.out())?;
         let dataset = training.source.to_string();
         let plan = Plan { variants, seeds: self.seeds, folder: self.out(), dataset: &dataset };
         let cells = plan.cells(|more| self.config(more))?;

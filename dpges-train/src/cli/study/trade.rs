@@ -13,6 +13,8 @@ use dpges_train::config::Config;
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::pictures::{self, save_png};
+use dpges_train::run::hold::Hold;
+use dpges_train::run::interrupts;
 use dpges_train::run::targets::duration::duration;
 use dpges_train::study::cell::Plan;
 use dpges_train::study::store::{Figure, Study};
@@ -29,7 +31,6 @@ use crate::cli::data::{Scene, Source, Split, ViewArgs, every_nth};
 use crate::cli::device_choice::{DeviceArgs, watched};
 use crate::cli::logging::LogStyle;
 use crate::cli::lpips::LpipsArgs;
-use crate::cli::train::display::watch_for_interrupts;
 use crate::cli::train::options::of_dataset;
 use crate::cli::{Failure, Result};
 use dpges_render::path::Size;
@@ -99,6 +100,7 @@ pub struct TradeArgs {
 
 pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
     let deadline = Deadline::after(args.time_limit);
+    let _held = Hold::of_folder(&args.out)?;
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
     let device = args.device.select()?;
@@ -157,7 +159,7 @@ impl TradeArgs {
         save_png(&pictures::photograph(&first), &self.out.join(&file))?;
         study.content.figures.push(Figure { file, caption: "photograph".to_owned() });
 
-        let interrupted = watch_for_interrupts()?;
+        let interrupted = interrupts::watch()?;
         let is_interrupted = || interrupted.load(Ordering::SeqCst);
         let is_wanted = |knob: &str| self.only.is_empty() || self.only.iter().any(|wanted| wanted == knob);
         let sweep = Sweep {

@@ -1,6 +1,5 @@
 //! Progress of a run, and its end by Ctrl-C or a failing device.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use dpges_core::scene::SceneData;
@@ -9,7 +8,6 @@ use dpges_train::device::failure::Watch;
 use dpges_train::eval::Evaluation;
 use dpges_train::run::{Observer, Run, StepReport, Verdict};
 
-use super::super::Result;
 use crate::cli::logging::LogStyle;
 use crate::cli::progress::ProgressDisplay;
 
@@ -95,17 +93,4 @@ impl Observer for Display<'_> {
     fn device_failure(&mut self) -> Option<String> {
         self.watch.as_ref()?.failure().map(|failure| failure.to_string())
     }
-}
-
-/// True from the first Ctrl-C on; the second ends the process. Call it once in a process.
-pub fn watch_for_interrupts() -> Result<Arc<AtomicBool>> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&interrupted);
-    ctrlc::set_handler(move || {
-        if flag.swap(true, Ordering::SeqCst) {
-            std::process::exit(1);
-        }
-        tracing::warn!("finishing this step and saving; Ctrl-C again aborts at once");
-    })?;
-    Ok(interrupted)
 }

@@ -10,10 +10,9 @@ use dpges_core::scene::SceneData;
 use dpges_render::viewer::{self, DatasetViews, LiveProgress, LiveScene, Start, ViewerOptions};
 use dpges_train::dataset::Dataset;
 use dpges_train::eval::{Evaluation, pictures};
-use dpges_train::run::{Observer, StepReport};
+use dpges_train::run::{Observer, StepReport, interrupts};
 
 use super::super::Result;
-use super::display::watch_for_interrupts;
 use super::session::Session;
 
 /// Share of a training view in the mean PSNR that the window shows.
@@ -51,7 +50,7 @@ pub fn train_in_window(begin: impl FnOnce() -> Result<Session> + Send + 'static)
 }
 
 fn train(session: Session, live: &LiveScene, begun: &Sender<Begun>) -> Result<String> {
-    let interrupted = watch_for_interrupts()?;
+    let interrupted = interrupts::watch()?;
     let trainer = session.run.trainer();
     // nobody listens if the main thread has panicked
     let _ = begun.send((views(trainer.dataset()), gpu(&session)));

@@ -18,12 +18,11 @@ use dpges_train::device::ranks::Job;
 use dpges_train::device::{DeviceName, DeviceRequest};
 use dpges_train::run::folder::{Origin, RunFolder, RunFolderError};
 use dpges_train::run::targets::{Decision, Target, conclude};
-use dpges_train::run::{Run, RunError, SavedRun};
+use dpges_train::run::{Run, RunError, SavedRun, interrupts};
 
 use super::data::Source;
 use super::{Failure, Result, device_choice, sfm, table};
 use crate::cli::logging::LogStyle;
-use display::watch_for_interrupts;
 use options::ConfigArgs;
 use session::Session;
 
@@ -92,7 +91,7 @@ fn train(args: TrainArgs, style: LogStyle, job: &Job) -> Result<String> {
         return live::train_in_window(move || args.session(style, &Job::join()?));
     }
     let session = args.session(style, job)?;
-    session.train(&*watch_for_interrupts()?)
+    session.train(&*interrupts::watch()?)
 }
 
 /// Ends the other ranks of a job that cannot go on without this one.
@@ -152,6 +151,7 @@ impl TrainArgs {
                 Failure::with_help(error, "go on with it (--resume), replace it (--overwrite), or name another --out")
             })?;
         }
+        let folder = if ranks.is_first() { folder.held()? } else { folder };
         let device = device_choice::select(self.device.unwrap_or_default())?;
         let device = device_choice::of_rank(job, device, self.device)?;
         if ranks.is_first() {
@@ -172,32 +172,50 @@ impl TrainArgs {
     }
 
     fn resume(self, style: LogStyle, job: &Job) -> Result<Session> {
-        let folder = self.folder();
-        let saved = SavedRun::open(folder.clone()).map_err(|error| match error {
+        let mut folder = self.folder();
+        if folder.has_checkpoint() && job.ranks.is_first() {
+            folder = folder.held()?;
+        }
+        let mut saved = SavedRun::open(folder.clone()).map_err(|error| match error {
             RunError::Folder(RunFolderError::NoCheckpoint { .. }) => {
                 Failure::with_help(error, "name the folder of a run with --out, or start one without --resume")
             }
             RunError::Folder(_) => Failure::with_help(error, "the folder is not complete: train anew into another one"),
             other => other.into(),
         })?;
-        let origin = saved.origin();
-        if self.dataset.is_some() && self.source().to_string() != origin.dataset {
-            let (asked, trained) = (self.source(), &origin.dataset);
-            return Err(Failure::Usage(format!("the run to resume was trained on {trained}, not on {asked}")));
+        if self.dataset.is_some() && self.source().to_string() != saved.origin().dataset {
+            tracing::info!("the dataset is {} from now on, before it was {}", self.source(), saved.origin().dataset);
+            saved.move_to(self.source().to_string());
         }
-        let source = Source::new(Path::new(&origin.dataset));
+        let source = Source::new(Path::new(&saved.origin().dataset));
+        if let Source::Folder(path) = &source
+            && !path.exists()
+        {
+            let message = format!("the dataset of the run is no longer at {}", path.display());
+            return Err(Failure::with_help(
+                message,
+                "name where it is now: `dpges train DATASET --out FOLDER --resume`",
+            ));
+        }
         folder.write_config(saved.config())?;
-        let asked = if self.options.names_a_whole() {
+        let mut asked = if self.options.names_a_whole() {
             self.options.resolve(&source, &[])?
         } else {
             self.options.resolve_on(&folder.config())?
         };
+        let before = saved.config().train.steps;
+        let steps = if self.options.names_steps() { std::mem::replace(&mut asked.train.steps, before) } else { before };
         let differences = differences(saved.config(), &asked);
         if !differences.is_empty() {
             let list = differences.join(", ");
             return Err(Failure::Usage(format!("a run is resumed with the configuration it was started with: {list}")));
         }
-        let device = device_choice::select_again(self.device, &origin.device)?;
+        if steps != before {
+            // not within the macro: that is not even evaluated under --quiet
+            let said = saved.lengthen(steps)?;
+            tracing::info!("{said}");
+        }
+        let device = device_choice::select_again(self.device, &saved.origin().device)?;
         let device = device_choice::of_rank(job, device, self.device)?;
         say_resumed(&saved, device);
         let opened = device.open()?;

@@ -65,6 +65,11 @@ impl ConfigArgs {
         self.budget.is_some()
     }
 
+    /// Whether `--steps` is given.
+    pub fn names_steps(&self) -> bool {
+        self.steps.is_some()
+    }
+
     /// Whether `--steps` or `--steps-scale` is given.
     pub fn names_length(&self) -> bool {
         self.steps.is_some() || self.steps_scale.is_some()

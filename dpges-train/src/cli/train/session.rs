@@ -78,6 +78,20 @@ impl Session {
                 let message = format!("interrupted: step {step} of {steps} is done and saved in {folder}");
                 Failure::with_help(message, format!("go on with `{}`", self.resume_command()))
             }
+            RunError::DiskFull { ref rescued, step, .. } => {
+                let after = match rescued {
+                    Some(file) => {
+                        let [from, to] =
+                            [file, &self.folder.checkpoint()].map(|path| quoted(&path.display().to_string()));
+                        format!(
+                            "the state after step {step} is kept: make room, then `mv {from} {to}` and `{}`",
+                            self.resume_command()
+                        )
+                    }
+                    None => format!("make room; {}", self.way_back()),
+                };
+                Failure::with_help(error, after)
+            }
             RunError::Train(TrainError::Device { reason, .. }) => self.device_failed(&DeviceFailure::new(&reason)),
             RunError::Train(error) => Failure::with_help(error, self.way_back()),
             other => other.into(),

@@ -11,11 +11,13 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use self::room::{Hit, trace};
-use super::assemble::mean_and_extent;
 use super::image::picture::linear;
-use super::{Dataset, DepthKind, DepthMap, Format, Picture, PointCloud, View};
+use super::world::mean_and_extent;
+use super::{Dataset, DepthKind, DepthMap, Format, Notices, Picture, PointCloud, View};
 use crate::views::pose::PoseCorrection;
 
+/// Near plane, world units.
+const NEAR: f64 = 0.01;
 const FIELD_OF_VIEW: f64 = 0.9;
 const TARGET: DVec3 = DVec3::new(0.0, 0.0, 0.3);
 /// Rotates successive views around the scene by the golden angle, so that any number of them covers it.
@@ -108,7 +110,6 @@ impl BuiltinOptions {
 /// A furnished room seen from a dome of cameras. The same options give the same dataset on every machine. The near
 /// plane is at 0.01, a world unit is a metre, and pictures have no alpha.
 pub fn builtin(options: &BuiltinOptions) -> Dataset {
-    let near = Format::Builtin.default_near();
     let mut exposures = ChaCha8Rng::seed_from_u64(options.seed);
     exposures.set_stream(1);
     let mut views = |name: &str, count: usize, phase: f64, depth: Option<DepthKind>| -> Vec<View> {
@@ -117,7 +118,7 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
         (0..count)
             .into_par_iter()
             .map(|index| {
-                let camera = dome_camera(options, index, count, phase, near);
+                let camera = dome_camera(options, index, count, phase);
                 let photograph = photograph(&camera, options.supersampling, changes[index]).into();
                 let of_kind = |kind| DepthMap::from_depths(kind, &builtin_geometry(&camera).0);
                 View { name: format!("{name}_{index:03}"), camera, photograph, depth: depth.map(of_kind) }
@@ -138,7 +139,8 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
         extent,
         background: [0.0; 3],
         format: Format::Builtin,
-        near,
+        near: NEAR,
+        notices: Notices::default(),
         spare_memory: usize::MAX,
     }
 }
@@ -182,7 +184,7 @@ pub fn builtin_geometry(camera: &Camera) -> (Vec<f32>, Vec<f32>) {
 }
 
 /// Camera `index` of `count` on a dome around the furniture; `phase` shifts a set of views between those of another.
-fn dome_camera(options: &BuiltinOptions, index: usize, count: usize, phase: f64, near: f64) -> Camera {
+fn dome_camera(options: &BuiltinOptions, index: usize, count: usize, phase: f64) -> Camera {
     let height = (index as f64 + 0.5) / count as f64;
     let azimuth = index as f64 * GOLDEN_ANGLE + phase * TAU / 3.0;
     let elevation = 0.25 + 0.75 * height;
@@ -193,7 +195,7 @@ fn dome_camera(options: &BuiltinOptions, index: usize, count: usize, phase: f64,
         .then(|| Lens::new(Distortion { numerator: FISHEYE, ..Distortion::new(Projection::Equidistant) }));
     let half = lens.map_or((0.5 * FIELD_OF_VIEW).tan(), |lens| lens.radial(0.5 * FISHEYE_ANGLE));
     let focal = 0.5 * options.width as f64 / half;
-    Camera { lens, ..Camera::pinhole(camera_from_world, focal, [options.width, options.height], near) }
+    Camera { lens, ..Camera::pinhole(camera_from_world, focal, [options.width, options.height], NEAR) }
 }
 
 /// The surface at position (x, y), px. The ray's direction has depth 1, so its distances are depths.

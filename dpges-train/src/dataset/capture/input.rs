@@ -6,14 +6,11 @@ use std::path::{Path, PathBuf};
 use super::FEWEST;
 use super::error::SfmError;
 use crate::dataset;
-use crate::dataset::mask_called_like;
+use crate::dataset::companions::Companions;
+use crate::dataset::conventions::{self, READ, UNREAD};
+use crate::dataset::folder::Folder;
 use crate::dataset::names::{in_folder, list};
 
-/// Pictures that are read.
-pub(super) const PHOTOGRAPHS: [&str; 3] = ["jpg", "jpeg", "png"];
-/// Pictures that are not, and that a camera or a phone may have left.
-const OTHER_PICTURES: [&str; 15] =
-    ["heic", "heif", "avif", "webp", "jxl", "tif", "tiff", "bmp", "dng", "cr2", "cr3", "nef", "arw", "exr", "hdr"];
 pub(super) const VIDEOS: [&str; 10] = ["mp4", "mov", "mkv", "avi", "webm", "m4v", "mts", "m2ts", "3gp", "mpg"];
 /// Folders within the one that is named in which photographs are looked for if it holds none itself.
 const SUBFOLDERS: [&str; 2] = ["images", "input"];
@@ -41,20 +38,23 @@ pub enum Input {
 }
 
 impl Input {
-    /// The content of `path`, if it is a video or a folder of pictures and no dataset.
-    pub fn find(path: &Path) -> Option<Self> {
+    /// The content of `path`, if it is a video or a folder of pictures and no dataset; nor one of another program, whose cameras
+    /// would be lost, unless they are to be `anew`.
+    pub fn find(path: &Path, anew: bool) -> Option<Self> {
         if path.is_file() {
             return has_extension(path, &VIDEOS).then(|| Self::Video { path: path.to_owned() });
         }
-        if dataset::format(path).is_some() || path.join("colmap").is_dir() || is_begun(path) {
+        if dataset::format(path).is_some() || is_begun(path) || (!anew && dataset::foreign(path).is_some()) {
             return None;
         }
         let folders = std::iter::once(path.to_owned()).chain(SUBFOLDERS.map(|name| path.join(name)));
         folders.into_iter().find_map(|folder| {
-            let (names, unread) = (files(&folder, &PHOTOGRAPHS), files(&folder, &OTHER_PICTURES));
+            let (names, unread) = (files(&folder, &READ), files(&folder, &UNREAD));
             let holds_pictures = !(names.is_empty() && unread.is_empty());
             holds_pictures.then(|| {
-                let mask_of = |name: &String| Some((name.clone(), mask_called_like(name.as_ref(), &path.join(MASKS))?));
+                let below = Folder::read(path);
+                let masks = Companions::new(&below, conventions::MASKS, None);
+                let mask_of = |name: &String| Some((name.clone(), masks.of(&folder.join(name))?));
                 let masks = names.iter().filter_map(mask_of).collect();
                 Self::Photographs { path: path.to_owned(), folder, names, unread, masks }
             })
@@ -136,6 +136,10 @@ mod tests {
     use super::*;
     use crate::dataset::fixtures::assert_says;
 
+    fn find(path: &Path) -> Option<Input> {
+        Input::find(path, false)
+    }
+
     fn names(names: &[&str]) -> Vec<String> {
         names.iter().map(|name| (*name).to_owned()).collect()
     }
@@ -153,21 +157,21 @@ mod tests {
 
     #[test]
     fn photographs_are_found_in_a_folder_or_in_one_below() {
-        assert_eq!(Input::find(folder(&[]).path()), None);
-        assert_eq!(Input::find(folder(&["notes.txt"]).path()), None);
+        assert_eq!(find(folder(&[]).path()), None);
+        assert_eq!(find(folder(&["notes.txt"]).path()), None);
         let files = ["notes.txt", "images/b.JPG", "images/a.png", "images/.hidden.png", "images/c.heic"];
         let folder = folder(&files);
         let at = folder.path();
-        let found = Input::find(at).unwrap();
+        let found = find(at).unwrap();
         let (path, folder) = (at.to_owned(), at.join("images"));
         let (read, unread) = (names(&["a.png", "b.JPG"]), names(&["c.heic"]));
         assert_eq!(found, Input::Photographs { path, folder, names: read, unread, masks: Vec::new() });
         assert_eq!(found.name().unwrap(), at.file_name().unwrap().to_str().unwrap());
         assert!(matches!(found.check(), Err(SfmError::TooFew { found: 2, .. })));
         std::fs::write(at.join("z.jpeg"), "").unwrap();
-        assert!(matches!(Input::find(at), Some(Input::Photographs { folder, .. }) if folder == at));
+        assert!(matches!(find(at), Some(Input::Photographs { folder, .. }) if folder == at));
         std::fs::create_dir(at.join("sparse")).unwrap();
-        assert_eq!(Input::find(at), None, "it is a dataset");
+        assert_eq!(find(at), None, "it is a dataset");
     }
 
     #[test]
@@ -175,7 +179,7 @@ mod tests {
         let photographs = ["images/a.jpg", "images/b.jpg", "images/c.jpg"];
         let masks = ["masks/a.jpg.png", "masks/b.png", "masks/stranger.png"];
         let folder = folder(&[photographs, masks].concat());
-        let found = Input::find(folder.path()).unwrap();
+        let found = find(folder.path()).unwrap();
         let expected = [("a.jpg", masks[0]), ("b.jpg", masks[1])];
         assert_eq!(found.masks(), expected.map(|(name, mask)| (name.to_owned(), folder.path().join(mask))));
     }
@@ -183,7 +187,7 @@ mod tests {
     #[test]
     fn other_formats_are_named() {
         let folder = folder(&["IMG_1.HEIC", "lamp.exr", "room.hdr"]);
-        let error = Input::find(folder.path()).unwrap().check().unwrap_err();
+        let error = find(folder.path()).unwrap().check().unwrap_err();
         assert_says(error, &["IMG_1.HEIC, lamp.exr, room.hdr", "convert them to JPEG"]);
     }
 
@@ -191,9 +195,9 @@ mod tests {
     fn videos_are_known_by_their_extension() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("walk 1.MP4");
-        assert_eq!(Input::find(&path), None, "it is not there");
+        assert_eq!(find(&path), None, "it is not there");
         std::fs::write(&path, "12345").unwrap();
-        let found = Input::find(&path).unwrap();
+        let found = find(&path).unwrap();
         assert_eq!((found.path(), found.name().unwrap().as_str()), (path.as_path(), "walk 1"));
     }
 }

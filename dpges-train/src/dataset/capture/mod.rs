@@ -38,7 +38,6 @@ pub use step::{Observer, Step};
 pub use unusable::{Unusable, unusable};
 
 use crate::dataset::names::list;
-use crate::dataset::strange_masks;
 use commands::Colmap;
 use workspace::{Workspace, is_finished};
 
@@ -153,12 +152,15 @@ impl Reconstruction<'_> {
         };
         if !unread.is_empty() {
             self.observer.warn(&format!(
-                "left out, for only JPEG and PNG are read: {}; convert them to JPEG to use them",
+                "left out, for only JPEG, PNG and WebP are read: {}; convert them to JPEG to use them",
                 list(unread)
             ));
         }
+        workspace.link_pictures(folder, names)?;
         let folder_of_masks = path.join(input::MASKS);
         if !masks.is_empty() {
+            // they are checked before they are in the dataset
+            self.masks()?;
             let kept = workspace.copy_masks(masks)?;
             if !kept.is_empty() {
                 self.observer.warn(&format!(
@@ -168,9 +170,12 @@ impl Reconstruction<'_> {
                 ));
             }
         } else if folder_of_masks.is_dir() {
-            self.observer.warn(&strange_masks(&folder_of_masks));
+            self.observer.warn(&format!(
+                "{} has no mask that is called like a photograph: that of NAME.jpg is NAME.jpg.png or NAME.png",
+                folder_of_masks.display()
+            ));
         }
-        workspace.link_pictures(folder, names)
+        Ok(())
     }
 
     /// The folder of the masks as COLMAP reads them; `None` without any.

@@ -109,7 +109,7 @@ impl Stage {
     }
 
     fn try_to(&self, input: &Path, overwrite: bool) -> (Result<Outcome, SfmError>, Heard) {
-        let input = Input::find(input).unwrap();
+        let input = Input::find(input, false).unwrap();
         let programs = Programs(vec![self.path("bin")]);
         let dataset = dataset_beside(&input).unwrap();
         let options = &self.options;

@@ -3,12 +3,13 @@
 
 use std::path::Path;
 
-use super::input::{Input, PHOTOGRAPHS, VIDEOS, has_extension};
+use super::input::{Input, VIDEOS, has_extension};
 use crate::dataset;
+use crate::dataset::conventions::READ;
 use crate::dataset::names::{in_folder, list, listing};
 
 const LOOKED_FOR: &str = "looked for a dataset (sparse/ of COLMAP, transforms_train.json of Blender, transforms.json of \
-                          nerfstudio), for photographs (JPEG or PNG, in the folder itself, in images/ or in input/), and for a \
+                          nerfstudio), for photographs (JPEG, PNG or WebP, in the folder itself, in images/ or in input/), and for a \
                           video (such as walk.mp4)";
 
 /// Why nothing can be trained on, in words.
@@ -25,7 +26,7 @@ pub fn unusable(path: &Path) -> Unusable {
     if path.is_file() {
         let message = format!("{shown} is a file, but no video ({}); {LOOKED_FOR}", VIDEOS.join(", "));
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let advice = if has_extension(path, &PHOTOGRAPHS) {
+        let advice = if has_extension(path, &READ) {
             format!("name the folder of the photographs: {}", folder.display())
         } else {
             "name a folder or a video".to_owned()
@@ -39,12 +40,8 @@ pub fn unusable(path: &Path) -> Unusable {
 
 fn advice(path: &Path) -> String {
     let names = in_folder(path).unwrap_or_default();
-    if names.iter().any(|name| matches!(name.as_str(), "cameras.bin" | "cameras.txt")) {
-        return "this is a model of COLMAP: name the folder above that holds it as sparse/0, and the photographs as images/"
-            .to_owned();
-    }
     let within = names.iter().map(|name| path.join(name));
-    let meant = within.filter(|within| dataset::format(within).is_some() || Input::find(within).is_some());
+    let meant = within.filter(|within| dataset::format(within).is_some() || Input::find(within, false).is_some());
     let meant: Vec<String> = meant.map(|within| within.display().to_string()).collect();
     if !meant.is_empty() {
         return format!("name what is in it: {}", list(&meant));
@@ -65,7 +62,7 @@ mod tests {
         let at = folder.path();
         let is_said = |path: &Path, found: &str, advice: &str| {
             let unusable = unusable(path);
-            let parts = [path.to_str().unwrap(), "sparse/", "transforms.json", "JPEG or PNG", "video", found];
+            let parts = [path.to_str().unwrap(), "sparse/", "transforms.json", "JPEG, PNG or WebP", "video", found];
             assert_says(unusable.message, &parts);
             assert_says(unusable.advice, &[advice]);
         };
@@ -81,11 +78,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let at = folder.path();
         let path = |name: &str| at.join(name).display().to_string();
-        for name in ["walk.mp4", "read.me", "cameras.bin"] {
+        for name in ["walk.mp4", "read.me"] {
             std::fs::write(at.join(name), "").unwrap();
         }
-        assert_says(unusable(at).advice, &["this is a model of COLMAP"]);
-        std::fs::remove_file(at.join("cameras.bin")).unwrap();
         assert_eq!(unusable(at).advice, format!("name what is in it: {}", path("walk.mp4")));
         write_png(&at.join("room/images/a.png"), 4, 4, [1, 2, 3]);
         std::fs::create_dir_all(at.join("set/sparse")).unwrap();

@@ -21,7 +21,6 @@ use super::error::{SfmError, io};
 use super::input::{Input, MASKS, is_begun};
 use super::masks::file_name;
 use super::step::Step;
-use crate::dataset::mask_called_like;
 use crate::dataset::names::{in_folder, list};
 
 /// Its end is that of the names of databases.
@@ -133,7 +132,8 @@ impl Workspace {
 
     /// The mask of a photograph in the dataset.
     pub fn mask_of(&self, photograph: &str) -> Option<PathBuf> {
-        mask_called_like(Path::new(photograph), &self.masks)
+        let names = [PathBuf::from(file_name(photograph)), Path::new(photograph).with_extension("png")];
+        names.into_iter().map(|name| self.masks.join(name)).find(|path| path.is_file())
     }
 
     /// Puts `masks` of photographs, by their names, into the dataset. Returns the names of the photographs that have another one

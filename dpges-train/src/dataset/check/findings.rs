@@ -1,16 +1,13 @@
 //! Problems of a dataset, in words. Each judgement compares views with the rest of the set, so that it needs no
 //! knowledge of cameras or scenes.
 
-use std::fmt;
-
 use glam::DVec3;
-use serde::Serialize;
 
 use super::facts::ViewFacts;
 use super::luma::difference;
 use super::statistics::{Range, median};
-use crate::dataset::Split;
 use crate::dataset::names::list;
+use crate::dataset::{Finding, Kind, Split};
 
 /// Distances, relative to the spread of the cameras, beyond which a camera is far: from their middle, and from the next.
 const FAR_FROM_THE_MIDDLE: f64 = 5.0;
@@ -40,42 +37,6 @@ const SAME_PICTURE: f64 = 0.02;
 const UNEXPLAINED: f64 = 0.5;
 /// Fewest training views that are no reason to say so.
 const FEW_VIEWS: usize = 10;
-
-/// A possible problem of a dataset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// A camera is far from all others: structure from motion has probably put it in the wrong place.
-    FarPose,
-    NoPoints,
-    FewPoints,
-    Blurred,
-    /// A view is brighter or darker than most.
-    Exposure,
-    /// Views differ in brightness throughout.
-    ExposureSpread,
-    /// A photograph shows what another one shows, from the same place.
-    Duplicate,
-    /// No point explains much of what pictures show.
-    Unexplained,
-    FewViews,
-}
-
-/// Something that is wrong, and what to do about it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Finding {
-    pub kind: Kind,
-    /// Names of the views that it is about, from the worst; none if it is about all of them.
-    pub views: Vec<String>,
-    pub message: String,
-    pub advice: &'static str,
-}
-
-impl fmt::Display for Finding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}; {}", self.message, self.advice)
-    }
-}
 
 fn overall(kind: Kind, message: String, advice: &'static str) -> Finding {
     Finding { kind, views: Vec::new(), message, advice }

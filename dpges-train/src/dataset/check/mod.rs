@@ -21,8 +21,8 @@ mod tests;
 
 use serde::Serialize;
 
+pub use crate::dataset::finding::{Finding, Kind};
 pub use facts::ViewFacts;
-pub use findings::{Finding, Kind};
 pub use statistics::Range;
 
 use crate::dataset::Dataset;
@@ -51,6 +51,8 @@ pub struct Report {
     pub views_per_point: Option<f64>,
     /// From most to least important.
     pub findings: Vec<Finding>,
+    /// What lies there, is not used and does no harm.
+    pub notes: Vec<Finding>,
 }
 
 impl Report {
@@ -61,9 +63,10 @@ impl Report {
         let views = facts::facts(dataset, effort)?;
         let seen: usize = dataset.points.seen_by.iter().map(<[u32]>::len).sum();
         let points = dataset.points.positions.len();
-        let findings = findings::findings(&views);
+        let found = dataset.notices.0.iter().cloned().chain(findings::findings(&views));
+        let (notes, findings) = found.partition(|finding| finding.kind == Kind::Aside);
         let views_per_point = (seen > 0).then(|| seen as f64 / points as f64);
-        Ok(Self { views, points, views_per_point, findings })
+        Ok(Self { views, points, views_per_point, findings, notes })
     }
 
     /// Whether a finding names the view.

@@ -1,9 +1,8 @@
 //! The layouts of datasets on disk: each is read as a [`Source`](source::Source).
 
-pub(super) mod blender;
 pub(super) mod colmap;
 pub(super) mod nerfstudio;
 mod ply;
 pub(super) mod source;
 mod split;
-mod transforms;
+pub(super) mod transforms;

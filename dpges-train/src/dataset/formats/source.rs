@@ -6,6 +6,8 @@ use dpges_core::camera::{Camera, Distortion, Lens};
 use glam::DVec3;
 
 use crate::dataset::error::{DatasetError, Result};
+use crate::dataset::finding::{Kind, Notices};
+use crate::dataset::image::codec::Header;
 use crate::dataset::{Format, Tracks};
 
 /// Which set a view belongs to; `Neither` for a view that the dataset's own lists leave out.
@@ -21,14 +23,18 @@ pub(in crate::dataset) enum Split {
 pub(in crate::dataset) struct Frame {
     pub name: String,
     pub image: PathBuf,
-    /// The mask that the dataset names; after [`crate::dataset::image::masks::find`] the one that is there.
+    /// The mask that the dataset names; once it is assembled the one that is there.
     pub mask: Option<PathBuf>,
     /// That took the photograph, in the coordinates of the files; its near plane is set when the dataset is assembled.
     pub camera: Camera,
+    /// Whether the files say of what size the picture is, and not the picture itself.
+    pub is_sized: bool,
+    /// Once it was read.
+    pub header: Option<Header>,
     pub split: Split,
     /// File that holds the pose, named in messages.
     pub described_in: PathBuf,
-    /// The depth map that the dataset names; `None` if it lies where depth maps lie by default, or there is none.
+    /// The depth map that the dataset names; once it is assembled the one that is there, `None` if there is none.
     pub depth: Option<DepthFile>,
 }
 
@@ -91,6 +97,27 @@ pub(in crate::dataset) struct Source {
     pub described_in: PathBuf,
     /// Why there may be no held-out view.
     pub no_test_reason: &'static str,
+    /// Files of pictures that views name and that are not there.
+    pub missing: Vec<PathBuf>,
+    /// Files that were read, beside those of frames.
+    pub used: Vec<PathBuf>,
+    pub notices: Notices,
+}
+
+impl Source {
+    /// Without views and points yet.
+    pub fn new(format: Format, described_in: PathBuf, no_test_reason: &'static str) -> Self {
+        let (frames, missing, used, notices) = Default::default();
+        Self { format, frames, points: RawPoints::default(), described_in, no_test_reason, missing, used, notices }
+    }
+
+    /// Says so if rotations of views, with their scales, were not quite those of a rigid motion.
+    pub fn say_scaled(&mut self, views: &[(String, f64)]) {
+        let names: Vec<String> = views.iter().map(|(name, scale)| format!("{name} (scale {scale:.3})")).collect();
+        let what = "rotations of views were scaled or rounded";
+        let advice = "they were made rotations; look whether positions have the same scale";
+        self.notices.add_names(Kind::Changed, what, &names, advice);
+    }
 }
 
 #[cfg(test)]

@@ -1,34 +1,52 @@
-//! `transforms*.json`, which Blender and nerfstudio datasets share.
+//! `transforms*.json`, which Blender, instant-ngp and nerfstudio datasets share.
 //!
 //! Poses map camera to world with OpenGL axes (y up, looking along −z). Intrinsics at the top level apply to all
 //! frames, intrinsics in a frame to that frame.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Projection};
 use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
+use serde_json::{Map, Value};
 
-use super::source::{DepthFile, Frame, Split, lens};
-use crate::dataset::error::{DatasetError, Result, read};
+use super::source::{DepthFile, Frame, Source, Split, lens};
+use crate::dataset::error::{DatasetError, Result, read_text};
+use crate::dataset::folder::Folder;
 use crate::dataset::image::codec;
 use crate::dataset::image::depth::DEFAULT_UNIT;
 
-/// Largest entry of RᵀR − I with which a pose is made orthonormal; other poses are refused.
-const ROTATION_TOLERANCE: f64 = 1e-3;
+/// Largest entry of RᵀR / s² − I, where s is the scale of R, with which a pose is made a rotation; other poses are refused.
+const MOST_SHEARED: f64 = 0.03;
+/// The same, and the difference of s from 1, up to which that is not said.
+const ROUNDED: f64 = 2e-3;
+/// Beginnings of keys of a lens that the others do not describe, and whole ones.
+const LENS_WORDS: [&str; 9] = [
+    "ftheta",
+    "equirectangular",
+    "latlong",
+    "orthographic",
+    "panorama",
+    "spherical",
+    "distortion",
+    "fisheye_p",
+    "omnidirectional",
+];
+const LENS_COEFFICIENTS: [&str; 8] = ["k5", "k6", "s1", "s2", "s3", "s4", "xi", "omega"];
 
 #[derive(Clone, Debug, Deserialize)]
-pub(super) struct Transforms {
-    #[serde(flatten)]
-    intrinsics: Intrinsics,
+pub(in crate::dataset) struct Transforms {
     /// World units of depth of a step of the depth maps; 0.001 if absent.
     depth_unit_scale_factor: Option<f64>,
     /// Point cloud in the frame of the poses.
     pub ply_file_path: Option<String>,
-    pub train_filenames: Option<Vec<String>>,
-    pub val_filenames: Option<Vec<String>>,
-    pub test_filenames: Option<Vec<String>>,
+    train_filenames: Option<Vec<String>>,
+    val_filenames: Option<Vec<String>>,
+    test_filenames: Option<Vec<String>>,
     frames: Vec<JsonFrame>,
+    /// [`Intrinsics`] of all frames.
+    #[serde(flatten)]
+    intrinsics: Map<String, Value>,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -38,14 +56,16 @@ struct JsonFrame {
     /// 4×4 or 3×4, row by row.
     transform_matrix: Vec<Vec<f64>>,
     depth_file_path: Option<String>,
+    /// Its own, which take the place of those of all.
     #[serde(flatten)]
-    intrinsics: Intrinsics,
+    intrinsics: Map<String, Value>,
 }
 
 /// Lengths in px, angles in radians.
 #[derive(Clone, Debug, Deserialize)]
 struct Intrinsics {
     camera_model: Option<String>,
+    is_fisheye: Option<bool>,
     w: Option<f64>,
     h: Option<f64>,
     fl_x: Option<f64>,
@@ -58,62 +78,114 @@ struct Intrinsics {
     k4: Option<f64>,
     p1: Option<f64>,
     p2: Option<f64>,
-    /// Horizontal field of view.
+    /// Horizontal and vertical field of view.
     camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    #[serde(flatten)]
+    others: Map<String, Value>,
 }
 
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Json`].
-pub(super) fn read_transforms(path: &Path) -> Result<Transforms> {
-    serde_json::from_slice(&read(path)?).map_err(|source| DatasetError::Json { path: path.to_owned(), source })
+pub(in crate::dataset) fn read_transforms(path: &Path) -> Result<Transforms> {
+    serde_json::from_str(&read_text(path)?).map_err(|source| DatasetError::Json { path: path.to_owned(), source })
 }
 
-/// The path a dataset gives a file, without the leading `./`.
-pub(super) fn name(file_path: &str) -> &str {
-    file_path.trim_start_matches("./")
+/// The path a dataset gives a file, with `/` between its parts and without the leading `./`.
+pub(super) fn name(file_path: &str) -> String {
+    file_path.replace('\\', "/").trim_start_matches("./").to_owned()
+}
+
+/// The cameras of the file at `path` and their names, in its order; `None` if it is JSON without frames. Photographs need not be
+/// there.
+///
+/// # Errors
+/// As [`Transforms::frames`].
+pub(in crate::dataset) fn cameras(path: &Path) -> Result<Option<Vec<(String, Camera)>>> {
+    let json = |source| DatasetError::Json { path: path.to_owned(), source };
+    let text = read_text(path)?;
+    if !serde_json::from_str::<Value>(&text).is_ok_and(|file| file.get("frames").is_some()) {
+        return Ok(None);
+    }
+    let file: Transforms = serde_json::from_str(&text).map_err(json)?;
+    let root = path.parent().unwrap_or(path);
+    let camera = |frame: &JsonFrame| {
+        let name = name(&frame.file_path);
+        let (camera_from_world, _) = camera_from_world(path, &name, &frame.transform_matrix)?;
+        let camera = file.intrinsics_of(frame, path)?.camera(path, &name, &root.join(&name), camera_from_world)?;
+        Ok((name, camera))
+    };
+    file.frames.iter().map(camera).collect::<Result<_>>().map(Some)
 }
 
 impl Transforms {
-    /// The frames of the file at `path` in the dataset in folder `root`, all in `split`, sorted by name.
+    /// The pictures that the frames name.
+    pub fn picture_names(&self) -> Vec<String> {
+        self.frames.iter().map(|frame| name(&frame.file_path)).collect()
+    }
+
+    /// The lists of names of pictures to train on, to test on, and to validate on.
+    pub fn listed(&self) -> [&Option<Vec<String>>; 3] {
+        [&self.train_filenames, &self.test_filenames, &self.val_filenames]
+    }
+
+    /// Whether it has no more than Blender's: a field of view for all pictures.
+    pub fn is_of_blender(&self) -> bool {
+        let has = |key: &&str| self.intrinsics.contains_key(*key);
+        self.ply_file_path.is_none() && !["camera_model", "w", "fl_x", "fl_y"].iter().any(has)
+    }
+
+    /// Those of `frame` in the file at `path`: its own before those of all.
+    fn intrinsics_of(&self, frame: &JsonFrame, path: &Path) -> Result<Intrinsics> {
+        let mut own = self.intrinsics.clone();
+        own.extend(frame.intrinsics.clone());
+        serde_json::from_value(own.into()).map_err(|source| DatasetError::Json { path: path.to_owned(), source })
+    }
+
+    /// Adds the frames of the file at `path` whose pictures are in `folder` to `source`, all in `split`, sorted by name.
     ///
     /// # Errors
-    /// [`DatasetError`] for missing images, unknown lenses, poses that are no rigid motions.
-    pub fn frames(&self, root: &Path, path: &Path, split: Split) -> Result<Vec<Frame>> {
+    /// [`DatasetError`] for unknown lenses, poses that are no rigid motions.
+    pub fn add_frames(&self, folder: &Folder, path: &Path, split: Split, source: &mut Source) -> Result<()> {
         let unit = self.depth_unit_scale_factor.unwrap_or(DEFAULT_UNIT);
         if !(unit.is_finite() && unit > 0.0) {
             let what = "`depth_unit_scale_factor`".to_owned();
             return Err(DatasetError::malformed(path, what, unit, "a positive number"));
         }
-        let mut frames: Vec<Frame> = self
-            .frames
-            .iter()
-            .map(|frame| {
-                let name = name(&frame.file_path).to_owned();
-                let image = image_path(root, path, &name)?;
-                let intrinsics = frame.intrinsics.clone().or(&self.intrinsics);
-                let camera = intrinsics.camera(path, &name, &image, &frame.transform_matrix)?;
-                let mask = frame.mask_path.as_deref().map(|path| root.join(self::name(path)));
-                let depth = frame.depth_file_path.as_ref().map(|file| DepthFile { path: root.join(file), unit });
-                let described_in = path.to_owned();
-                Ok(Frame { name, image, mask, camera, split, described_in, depth })
-            })
-            .collect::<Result<_>>()?;
-        frames.sort_by(|a, b| a.name.cmp(&b.name));
-        Ok(frames)
+        let names = self.picture_names();
+        let pictures = folder.pictures(&names.iter().map(String::as_str).collect::<Vec<_>>(), &[""]);
+        let file = |path: &str| folder.get(path).cloned().unwrap_or_else(|| folder.root.join(name(path)));
+        let mut scaled = Vec::new();
+        for ((frame, name), image) in self.frames.iter().zip(names).zip(pictures) {
+            let Some(image) = image else {
+                source.missing.push(folder.root.join(name));
+                continue;
+            };
+            let intrinsics = self.intrinsics_of(frame, path)?;
+            let (camera_from_world, scale) = camera_from_world(path, &name, &frame.transform_matrix)?;
+            scaled.extend(scale.map(|scale| (name.clone(), scale)));
+            source.frames.push(Frame {
+                camera: intrinsics.camera(path, &name, &image, camera_from_world)?,
+                name,
+                image,
+                mask: frame.mask_path.as_deref().map(file),
+                is_sized: intrinsics.w.is_some() && intrinsics.h.is_some(),
+                header: None,
+                split,
+                described_in: path.to_owned(),
+                depth: frame.depth_file_path.as_deref().map(|path| DepthFile { path: file(path), unit }),
+            });
+        }
+        source.frames.sort_by(|a, b| a.name.cmp(&b.name));
+        source.say_scaled(&scaled);
+        source.used.push(path.to_owned());
+        Ok(())
     }
 }
 
-/// The image file. Blender scenes omit its extension.
-fn image_path(root: &Path, described_in: &Path, name: &str) -> Result<PathBuf> {
-    ["", ".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG"]
-        .iter()
-        .map(|extension| root.join(format!("{name}{extension}")))
-        .find(|path| path.is_file())
-        .ok_or_else(|| DatasetError::missing_image(root.join(name), name, described_in))
-}
-
-/// Negates the y and z columns (OpenGL to OpenCV axes) and inverts.
-fn camera_from_world(path: &Path, view: &str, matrix: &[Vec<f64>]) -> Result<CameraFromWorld> {
+/// Negates the y and z columns (OpenGL to OpenCV axes) and inverts. Returns the scale of the rotation, too, if that is not quite
+/// one.
+fn camera_from_world(path: &Path, view: &str, matrix: &[Vec<f64>]) -> Result<(CameraFromWorld, Option<f64>)> {
     let malformed = |found: String, expected| {
         DatasetError::malformed(path, format!("the transform_matrix of view `{view}`"), found, expected)
     };
@@ -127,38 +199,25 @@ fn camera_from_world(path: &Path, view: &str, matrix: &[Vec<f64>]) -> Result<Cam
     if !world_from_camera.is_finite() || !centre.is_finite() {
         return Err(malformed(format!("{matrix:?}"), "finite numbers"));
     }
-    let error = world_from_camera.transpose() * world_from_camera - DMat3::IDENTITY;
+    let scale = world_from_camera.determinant().cbrt();
+    let mut rotation = world_from_camera * scale.recip();
+    let error = rotation.transpose() * rotation - DMat3::IDENTITY;
     let worst = error.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
-    if worst > ROTATION_TOLERANCE || world_from_camera.determinant() < 0.0 {
-        return Err(malformed(format!("{matrix:?}"), "a rotation without scale, shear or mirroring"));
+    if !(worst <= MOST_SHEARED && scale > 0.0) {
+        return Err(malformed(format!("{matrix:?}"), "a rotation without shear or mirroring"));
     }
-    let rotation = DMat3::from_quat(DQuat::from_mat3(&world_from_camera).normalize()).transpose();
-    Ok(CameraFromWorld { rotation, translation: -(rotation * centre) })
+    // the nearest rotation (Higham)
+    for _ in 0..4 {
+        rotation = 0.5 * (rotation + rotation.inverse().transpose());
+    }
+    let rotation = DMat3::from_quat(DQuat::from_mat3(&rotation).normalize()).transpose();
+    let is_said = worst > ROUNDED || (scale - 1.0).abs() > ROUNDED;
+    Ok((CameraFromWorld { rotation, translation: -(rotation * centre) }, is_said.then_some(scale)))
 }
 
 impl Intrinsics {
-    /// The frame's own values, and those of the file where the frame has none.
-    fn or(self, file: &Self) -> Self {
-        Self {
-            camera_model: self.camera_model.or_else(|| file.camera_model.clone()),
-            w: self.w.or(file.w),
-            h: self.h.or(file.h),
-            fl_x: self.fl_x.or(file.fl_x),
-            fl_y: self.fl_y.or(file.fl_y),
-            cx: self.cx.or(file.cx),
-            cy: self.cy.or(file.cy),
-            k1: self.k1.or(file.k1),
-            k2: self.k2.or(file.k2),
-            k3: self.k3.or(file.k3),
-            k4: self.k4.or(file.k4),
-            p1: self.p1.or(file.p1),
-            p2: self.p2.or(file.p2),
-            camera_angle_x: self.camera_angle_x.or(file.camera_angle_x),
-        }
-    }
-
     /// Fills gaps: the size from the image, square pixels, a centred principal point.
-    fn camera(&self, path: &Path, view: &str, image: &Path, matrix: &[Vec<f64>]) -> Result<Camera> {
+    fn camera(&self, path: &Path, view: &str, image: &Path, camera_from_world: CameraFromWorld) -> Result<Camera> {
         let projection = self.projection(path, view)?;
         let (width, height) = match (self.w, self.h) {
             (Some(width), Some(height)) => (width.round() as usize, height.round() as usize),
@@ -168,33 +227,58 @@ impl Intrinsics {
             }
         };
         let (w, h) = (width as f64, height as f64);
-        let from_angle = self.camera_angle_x.map(|angle| 0.5 * w / (0.5 * angle).tan());
-        let fx = self
-            .fl_x
-            .or(from_angle)
-            .ok_or_else(|| DatasetError::NoFocalLength { path: path.to_owned(), view: view.to_owned() })?;
+        let from_angle = |angle: Option<f64>, side: f64| angle.map(|angle| 0.5 * side / (0.5 * angle).tan());
+        let fx = self.fl_x.or(from_angle(self.camera_angle_x, w));
+        let fy = self.fl_y.or(from_angle(self.camera_angle_y, h));
+        let lacks_one = || DatasetError::NoFocalLength { path: path.to_owned(), view: view.to_owned() };
+        let (fx, fy) = (fx.or(fy).ok_or_else(lacks_one)?, fy.or(fx).ok_or_else(lacks_one)?);
         let or_zero = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);
         let distortion = Distortion {
             numerator: [self.k1, self.k2, self.k3, self.k4, None, None].map(or_zero),
             tangential: [self.p1, self.p2].map(or_zero),
             ..Distortion::new(projection)
         };
-        let (fy, cx, cy) = (self.fl_y.unwrap_or(fx), self.cx.unwrap_or(0.5 * w), self.cy.unwrap_or(0.5 * h));
-        let (camera_from_world, lens) = (camera_from_world(path, view, matrix)?, lens(distortion));
-        Ok(Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens })
+        let (cx, cy) = (self.cx.unwrap_or(0.5 * w), self.cy.unwrap_or(0.5 * h));
+        Ok(Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens: lens(distortion) })
     }
 
     fn projection(&self, path: &Path, view: &str) -> Result<Projection> {
-        let model = self.camera_model.as_deref().unwrap_or("OPENCV").to_uppercase();
-        let reason = match model.as_str() {
-            "SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "PERSPECTIVE" => {
-                return Ok(Projection::Perspective);
-            }
-            "OPENCV_FISHEYE" => return Ok(Projection::Equidistant),
-            "EQUIRECTANGULAR" => "panoramas do not fit a pinhole camera",
-            _ => "it is unknown here",
+        let refused = |model: &str, reason| {
+            let (path, model) = (path.to_owned(), model.to_owned());
+            Err(DatasetError::CameraModel { path, camera: format!("view `{view}`"), model, reason })
         };
-        Err(DatasetError::CameraModel { path: path.to_owned(), camera: format!("view `{view}`"), model, reason })
+        let is_of_lens =
+            |key: &str| LENS_WORDS.iter().any(|word| key.starts_with(word)) || LENS_COEFFICIENTS.contains(&key);
+        if let Some((word, _)) =
+            self.others.iter().find(|(key, value)| is_of_lens(&key.to_lowercase()) && !is_nothing(value))
+        {
+            return refused(word, "this word is understood by none of the models here");
+        }
+        let model = self.camera_model.as_deref().map(str::to_uppercase);
+        match (model.as_deref(), self.is_fisheye.unwrap_or(false)) {
+            (None, true) => Ok(Projection::Equidistant),
+            (
+                None | Some("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "PERSPECTIVE"),
+                false,
+            ) => Ok(Projection::Perspective),
+            (Some("OPENCV_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE"), _) => {
+                Ok(Projection::Equidistant)
+            }
+            (Some(model), true) => refused(model, "`is_fisheye` contradicts it"),
+            (Some(model @ "EQUIRECTANGULAR"), _) => refused(model, "panoramas do not fit a pinhole camera"),
+            (Some(model), _) => refused(model, "it is unknown here"),
+        }
+    }
+}
+
+/// Whether a value says that there is no such thing.
+fn is_nothing(value: &Value) -> bool {
+    match value {
+        Value::Null | Value::Bool(false) => true,
+        Value::Number(number) => number.as_f64() == Some(0.0),
+        Value::Array(values) => values.iter().all(is_nothing),
+        Value::String(text) => text.is_empty(),
+        Value::Bool(true) | Value::Object(_) => false,
     }
 }
 
@@ -204,7 +288,7 @@ mod tests {
     use crate::dataset::fixtures::assert_says;
 
     fn pose(matrix: [[f64; 4]; 3]) -> Result<CameraFromWorld> {
-        camera_from_world(Path::new("transforms.json"), "a", &matrix.map(|row| row.to_vec()))
+        camera_from_world(Path::new("transforms.json"), "a", &matrix.map(|row| row.to_vec())).map(|(pose, _)| pose)
     }
 
     #[test]
@@ -219,14 +303,39 @@ mod tests {
 
     #[test]
     fn poses_that_are_no_rigid_motion_are_refused() {
-        let scaled = pose([[2.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0]]);
+        let sheared = pose([[1.0, 0.2, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
         let mirrored = pose([[-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
         let infinite = pose([[1.0, 0.0, 0.0, f64::INFINITY], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
-        let short = camera_from_world(Path::new("transforms.json"), "a", &[vec![1.0; 4], vec![1.0; 3]]);
+        let short =
+            camera_from_world(Path::new("transforms.json"), "a", &[vec![1.0; 4], vec![1.0; 3]]).map(|(pose, _)| pose);
         for (result, expected) in
-            [(scaled, "without scale"), (mirrored, "mirroring"), (infinite, "finite"), (short, "3 or 4 rows")]
+            [(sheared, "without shear"), (mirrored, "mirroring"), (infinite, "finite"), (short, "3 or 4 rows")]
         {
             assert_says(result.unwrap_err(), &["transforms.json: the transform_matrix of view `a`", expected]);
+        }
+    }
+
+    #[test]
+    fn scaled_and_rounded_rotations_are_made_rotations_and_said() {
+        let (sin, cos) = 0.3f64.sin_cos();
+        let exact = [[cos, -sin, 0.0, 1.0], [sin, cos, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0]];
+        let changed = |change: &dyn Fn(f64) -> f64| {
+            exact.map(|row| [change(row[0]), change(row[1]), change(row[2]), row[3]].to_vec())
+        };
+        let read = |matrix: &[Vec<f64>]| camera_from_world(Path::new("transforms.json"), "a", matrix).unwrap();
+        let (expected, none) = read(&changed(&|x| x));
+        assert_eq!(none, None);
+        for (matrix, scale) in [(changed(&|x| 0.5 * x), 0.5), (changed(&|x| (100.0 * x).round() / 100.0), 1.0)] {
+            let (found, said) = read(&matrix);
+            let apart = (found.rotation - expected.rotation).to_cols_array();
+            assert!(apart.iter().all(|x| x.abs() < 5e-3) && (said.unwrap() - scale).abs() < 5e-3, "{said:?}");
+            assert!(
+                (found.rotation.transpose() * found.rotation - DMat3::IDENTITY)
+                    .to_cols_array()
+                    .iter()
+                    .all(|x| x.abs() < 1e-12)
+            );
+            assert!((found.centre() - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12);
         }
     }
 }

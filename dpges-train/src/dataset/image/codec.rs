@@ -1,19 +1,25 @@
 //! Photographs in files: decoding, compositing, making smaller.
 
 use std::fs::File;
-use std::io::{self, BufRead, Cursor, Read, Seek};
+use std::io::{self, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use exif::{In, Tag};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader, ImageResult};
 
 use super::resize;
 use crate::dataset::Picture;
-use crate::dataset::error::{DatasetError, Result, unreadable};
+use crate::dataset::conventions::unread_format;
+use crate::dataset::error::{DatasetError, Result, read, unreadable};
 
 /// Alpha, of 255, from which on a pixel counts, where alpha is a mask.
 const COUNTS: u8 = 128;
 /// Bytes of a file that are read for its header at first. The crate `image` reads the whole of a JPEG.
 const BEGINNING: u64 = 1 << 18;
+/// Bytes at the end of a file in which a JPEG or a PNG ends; if not, something follows, or something is missing.
+const END: u64 = 64;
+const END_OF_JPEG: [u8; 2] = [0xff, 0xd9];
+const END_OF_PNG: [u8; 4] = *b"IEND";
 
 /// The meaning of the alpha of images.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,39 +52,88 @@ pub(crate) struct Header {
     pub has_alpha: bool,
     /// Whether a value has more than 8 bits.
     pub is_deep: bool,
+    /// Of EXIF: 1 for upright.
+    pub orientation: u32,
 }
 
 /// Size and kind of an image, without decoding its pixels.
 ///
 /// # Errors
-/// [`DatasetError::Read`], [`DatasetError::Decode`].
+/// [`DatasetError::Read`], [`DatasetError::Decode`], [`DatasetError::PictureFormat`], [`DatasetError::CutShort`].
 pub(crate) fn header(path: &Path) -> Result<Header> {
-    if let Ok(found) = header_in(beginning(path).map_err(unreadable(path))?) {
-        return Ok(found);
+    let (beginning, end) = ends(path).map_err(unreadable(path))?;
+    check_format(path, &beginning)?;
+    if !end.windows(2).any(|bytes| bytes == END_OF_JPEG) && !end.windows(4).any(|bytes| bytes == END_OF_PNG) {
+        check_whole(path, &read(path)?)?;
     }
-    header_in(reader(path)?).map_err(|source| undecodable(path, source))
+    let found = header_in(&beginning).or_else(|_| header_in(&read(path).map_err(io::Error::other)?));
+    found.map_err(|source| undecodable(path, source))
 }
 
-fn beginning(path: &Path) -> io::Result<ImageReader<Cursor<Vec<u8>>>> {
-    let mut bytes = Vec::new();
-    File::open(path)?.take(BEGINNING).read_to_end(&mut bytes)?;
-    ImageReader::new(Cursor::new(bytes)).with_guessed_format()
+/// The first bytes of a file, and its last.
+fn ends(path: &Path) -> io::Result<(Vec<u8>, Vec<u8>)> {
+    let (mut file, mut beginning, mut end) = (File::open(path)?, Vec::new(), Vec::new());
+    (&mut file).take(BEGINNING).read_to_end(&mut beginning)?;
+    let length = file.metadata()?.len();
+    file.seek(SeekFrom::Start(length.saturating_sub(END)))?;
+    file.read_to_end(&mut end)?;
+    Ok((beginning, end))
 }
 
-fn header_in<R: BufRead + Seek>(reader: ImageReader<R>) -> ImageResult<Header> {
-    let decoder = reader.into_decoder()?;
+fn header_in(bytes: &[u8]) -> ImageResult<Header> {
+    let decoder = ImageReader::new(Cursor::new(bytes)).with_guessed_format()?.into_decoder()?;
     let (width, height) = decoder.dimensions();
     let colour: ColorType = decoder.color_type();
     let is_deep = colour.bits_per_pixel() > 8 * u16::from(colour.channel_count());
-    Ok(Header { width: width as usize, height: height as usize, has_alpha: colour.has_alpha(), is_deep })
+    // pictures without EXIF, or with broken EXIF, say nothing
+    let said = exif::Reader::new().read_from_container(&mut Cursor::new(bytes)).ok();
+    let orientation = said.and_then(|said| said.get_field(Tag::Orientation, In::PRIMARY)?.value.get_uint(0));
+    let orientation = orientation.filter(|orientation| (1..=8).contains(orientation)).unwrap_or(1);
+    Ok(Header { width: width as usize, height: height as usize, has_alpha: colour.has_alpha(), is_deep, orientation })
 }
 
-/// Decodes a PNG or JPEG, grey or coloured; 16 bits are rounded to 8. If the file has alpha (not premultiplied), which is
+fn check_format(path: &Path, beginning: &[u8]) -> Result<()> {
+    let format = if beginning.is_empty() { Some("nothing: it is empty") } else { unread_format(beginning) };
+    format.map_or(Ok(()), |format| Err(DatasetError::PictureFormat { path: path.to_owned(), format }))
+}
+
+/// # Errors
+/// [`DatasetError::CutShort`] for a JPEG, PNG or WebP that ends before its end.
+fn check_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+    let is_whole = match bytes {
+        [0xff, 0xd8, ..] => jpeg_ends(bytes),
+        [0x89, b'P', b'N', b'G', ..] => bytes.windows(4).any(|bytes| bytes == END_OF_PNG),
+        [b'R', b'I', b'F', b'F', a, b, c, d, ..] => {
+            u64::from(u32::from_le_bytes([*a, *b, *c, *d])) + 8 <= bytes.len() as u64 + u64::from(bytes.len() % 2 == 1)
+        }
+        _ => true,
+    };
+    if is_whole { Ok(()) } else { Err(DatasetError::CutShort { path: path.to_owned(), bytes: bytes.len() }) }
+}
+
+/// Whether a JPEG has the marker of its end. A decoder fills what is missing with grey.
+fn jpeg_ends(bytes: &[u8]) -> bool {
+    let mut at = 2;
+    loop {
+        // the next marker: in what is compressed, 0 follows each byte of a marker, and some only part it
+        let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0 | 0xd0..=0xd7 | 0xff);
+        let Some(found) = bytes.get(at..).and_then(|rest| rest.windows(2).position(is_marker)) else { return false };
+        at += found + 2;
+        match (bytes[at - 1], bytes.get(at..at + 2)) {
+            (0xd9, _) => return true,
+            (0x01 | 0xd8, _) => {}
+            (_, Some(&[high, low])) => at += usize::from(u16::from_be_bytes([high, low])).max(2),
+            (_, _) => return false,
+        }
+    }
+}
+
+/// Decodes a PNG, JPEG or WebP, grey or coloured; 16 bits are rounded to 8. If the file has alpha (not premultiplied), which is
 /// a matte, colour is composited in float, `alpha · colour + (1 − alpha) · background`, then rounded. If alpha is a mask,
 /// colour is as stored, and pixels of less than half alpha do not count.
 ///
 /// # Errors
-/// [`DatasetError::Read`], [`DatasetError::Decode`].
+/// The errors of [`decoded`].
 pub(in crate::dataset) fn decode(path: &Path, alpha: Alpha) -> Result<Picture> {
     let decoded = decoded(path)?;
     let (width, height) = (decoded.width() as usize, decoded.height() as usize);
@@ -111,13 +166,13 @@ pub(in crate::dataset) fn decode(path: &Path, alpha: Alpha) -> Result<Picture> {
 /// The image in a file.
 ///
 /// # Errors
-/// [`DatasetError::Read`], [`DatasetError::Decode`].
+/// [`DatasetError::Read`], [`DatasetError::Decode`], [`DatasetError::PictureFormat`], [`DatasetError::CutShort`].
 pub(in crate::dataset) fn decoded(path: &Path) -> Result<DynamicImage> {
-    reader(path)?.decode().map_err(|source| undecodable(path, source))
-}
-
-fn reader(path: &Path) -> Result<ImageReader<io::BufReader<File>>> {
-    ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(unreadable(path))
+    let bytes = read(path)?;
+    check_format(path, &bytes)?;
+    check_whole(path, &bytes)?;
+    let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(unreadable(path))?;
+    reader.decode().map_err(|source| undecodable(path, source))
 }
 
 fn undecodable(path: &Path, source: ImageError) -> DatasetError {
@@ -144,7 +199,10 @@ mod tests {
         let picture = decode(&path, Alpha::Matte([0.0; 3])).unwrap();
         assert_eq!((picture.width, picture.height, &picture.alpha), (3, 2, &None));
         assert_eq!(picture.bytes[15..], [101; 3]);
-        assert_eq!(header(&path).unwrap(), Header { width: 3, height: 2, has_alpha: false, is_deep: false });
+        assert_eq!(
+            header(&path).unwrap(),
+            Header { width: 3, height: 2, has_alpha: false, is_deep: false, orientation: 1 }
+        );
 
         let deep = ImageBuffer::from_fn(2, 2, |x, _| Rgb([(x * 257) as u16, 65535u16, 1000]));
         let (_folder, path) = saved("deep.png", DynamicImage::ImageRgb16(deep));
@@ -176,11 +234,11 @@ mod tests {
     }
 
     #[test]
-    fn exif_orientation_is_ignored() {
+    fn exif_orientation_is_said_and_ignored() {
         let (_folder, path) = saved("photo.jpg", image::RgbImage::from_fn(16, 8, |x, _| Rgb([(x * 15) as u8; 3])));
         insert_segment(&path, 0xe1, b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0");
         let picture = decode(&path, Alpha::Matte([0.0; 3])).unwrap();
-        assert_eq!((picture.width, picture.height), (16, 8));
+        assert_eq!((picture.width, picture.height, header(&path).unwrap().orientation), (16, 8, 6));
         assert!(picture.rgb(15, 0)[0] > picture.rgb(0, 0)[0]);
     }
 
@@ -189,7 +247,10 @@ mod tests {
         let (_folder, path) = saved("photo.jpg", image::RgbImage::new(40, 24));
         (0..6).for_each(|_| insert_segment(&path, 0xfe, &[7; 0xffff - 2]));
         assert!(path.metadata().unwrap().len() > BEGINNING);
-        assert_eq!(header(&path).unwrap(), Header { width: 40, height: 24, has_alpha: false, is_deep: false });
+        assert_eq!(
+            header(&path).unwrap(),
+            Header { width: 40, height: 24, has_alpha: false, is_deep: false, orientation: 1 }
+        );
     }
 
     #[test]
@@ -207,14 +268,19 @@ mod tests {
     }
 
     #[test]
-    fn images_of_many_shades_are_refused_by_name() {
+    fn pictures_of_other_formats_are_refused_by_name() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.exr");
-        for begin in
-            [&b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"[..], b"\x76\x2f\x31\x01\x02\0\0\0", b"II*\0\x10\0\0\0CR"]
-        {
+        for (begin, format) in [
+            (&b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"[..], "HDR"),
+            (b"\x76\x2f\x31\x01\x02\0\0\0", "EXR"),
+            (b"II*\0\x10\0\0\0CR", "TIFF"),
+            (b"\0\0\0\x18ftypheic\0\0", "HEIC"),
+            (b"", "it is empty"),
+        ] {
             std::fs::write(&path, begin).unwrap();
-            assert_says(decode(&path, Alpha::Mask).unwrap_err(), &["a.exr", "as PNG or JPEG"]);
+            assert_says(decode(&path, Alpha::Mask).unwrap_err(), &["a.exr", format, "to JPEG or PNG"]);
+            assert_says(header(&path).unwrap_err(), &["a.exr", format]);
         }
     }
 
@@ -224,7 +290,33 @@ mod tests {
         let path = folder.path().join("broken.png");
         std::fs::write(&path, b"\x89PNG\r\n\x1a\nnothing else").unwrap();
         for error in [decode(&path, Alpha::Matte([0.0; 3])).unwrap_err(), header(&path).unwrap_err()] {
+            assert_says(error, &["broken.png", "cut short"]);
+        }
+        std::fs::write(&path, b"no picture at all").unwrap();
+        for error in [decode(&path, Alpha::Matte([0.0; 3])).unwrap_err(), header(&path).unwrap_err()] {
             assert_says(error, &["broken.png", "replace it"]);
+        }
+    }
+
+    #[test]
+    fn pictures_that_are_cut_short_are_refused_whatever_follows_whole_ones() {
+        for (name, exif) in [("a.jpg", true), ("a.jpg", false), ("a.png", false), ("a.webp", false)] {
+            let noise = |x: u32, y: u32| Rgb([1, 3, 7].map(|factor| (x * x * factor + y * y * 13 + x * y) as u8));
+            let (_folder, path) = saved(name, image::RgbImage::from_fn(64, 48, noise));
+            if exif {
+                // a thumbnail with an end of its own
+                insert_segment(&path, 0xe1, b"Exif\0\0\xff\xd8 thumbnail \xff\xd9");
+            }
+            let whole = std::fs::read(&path).unwrap();
+            for share in [20, 50, 90, 99] {
+                std::fs::write(&path, &whole[..whole.len() * share / 100]).unwrap();
+                for error in [decode(&path, Alpha::Mask).unwrap_err(), header(&path).unwrap_err()] {
+                    assert_says(error, &[name, "cut short", &(whole.len() * share / 100).to_string()]);
+                }
+            }
+            std::fs::write(&path, [&whole[..], &[0; 200], b"a film of a phone"].concat()).unwrap();
+            assert_eq!(header(&path).unwrap().width, 64);
+            assert_eq!(decode(&path, Alpha::Mask).unwrap().height, 48);
         }
     }
 }

@@ -1,7 +1,6 @@
 //! Decoding of the image file of a frame: its picture, undistorted if asked to and downsampled, and the camera that
 //! took it or would have.
 
-use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 use dpges_core::camera::{Camera, CameraFromWorld};
@@ -17,8 +16,6 @@ use crate::dataset::{DepthKind, DepthMap, LoadOptions, Picture};
 /// How frames are read.
 #[derive(Debug)]
 pub(in crate::dataset) struct ImageDecoder {
-    /// Folder of the dataset.
-    root: PathBuf,
     alpha: Alpha,
     invert_masks: bool,
     undistort: bool,
@@ -39,10 +36,9 @@ struct Cameras {
 }
 
 impl ImageDecoder {
-    /// A decoder for the dataset in folder `root`, whose pictures with alpha have `background` behind them.
-    pub fn new(root: PathBuf, options: &LoadOptions, background: [f64; 3]) -> Self {
+    /// A decoder for pictures that have `background` behind them if they have alpha.
+    pub fn new(options: &LoadOptions, background: [f64; 3]) -> Self {
         Self {
-            root,
             alpha: if options.alpha_masks { Alpha::Mask } else { Alpha::Matte(background) },
             invert_masks: options.invert_masks,
             undistort: options.undistort,
@@ -62,7 +58,7 @@ impl ImageDecoder {
         if frame.mask.is_some() || self.depth_file(frame).is_some() {
             return Ok(None);
         }
-        let header = codec::header(&frame.image)?;
+        let header = frame.header.map_or_else(|| codec::header(&frame.image), Ok)?;
         if header.has_alpha {
             return Ok(None);
         }
@@ -113,11 +109,11 @@ impl ImageDecoder {
     /// [`DatasetError`] names the file at fault.
     pub fn depth(&self, frame: &Frame, camera: &Camera, picture: &Picture) -> Result<Option<DepthMap>> {
         let asked = self.depth.zip(self.depth_file(frame));
-        asked.map(|(kind, file)| depth::read(&file, kind, frame, camera, picture)).transpose()
+        asked.map(|(kind, file)| depth::read(file, kind, frame, camera, picture)).transpose()
     }
 
-    fn depth_file(&self, frame: &Frame) -> Option<DepthFile> {
-        self.depth.filter(|_| frame.split == Split::Train).and_then(|_| depth::file(&self.root, frame))
+    fn depth_file<'a>(&self, frame: &'a Frame) -> Option<&'a DepthFile> {
+        frame.depth.as_ref().filter(|_| self.depth.is_some() && frame.split == Split::Train)
     }
 
     /// Cameras of a photograph of `width` × `height` px.
@@ -184,10 +180,11 @@ mod tests {
 
     use super::*;
     use crate::dataset::fixtures::{self, Encoding, colmap_folder};
-    use crate::dataset::formats::colmap;
+    use crate::dataset::formats::source::Source;
+    use crate::dataset::{described, layout::Layout};
 
-    fn decoder(root: &Path, options: &LoadOptions) -> ImageDecoder {
-        ImageDecoder::new(root.to_owned(), options, [0.0; 3])
+    fn read(folder: &Path, options: &LoadOptions) -> Source {
+        described(&Layout::find(folder).unwrap(), options).unwrap()
     }
 
     #[test]
@@ -203,8 +200,8 @@ mod tests {
             let folder = colmap_folder(&scene, Encoding::Binary);
             for (undistort, max_resolution) in [(true, None), (false, None), (true, Some(12)), (false, Some(13))] {
                 let options = LoadOptions { undistort, max_resolution, test_every: 0, ..Default::default() };
-                let source = colmap::read(folder.path(), &options).unwrap();
-                let decoder = decoder(folder.path(), &options);
+                let source = read(folder.path(), &options);
+                let decoder = ImageDecoder::new(&options, [0.0; 3]);
                 for frame in &source.frames {
                     let (camera, info) = decoder.survey(frame).unwrap().unwrap();
                     let (expected, picture) = decoder.photograph(frame).unwrap();
@@ -219,7 +216,7 @@ mod tests {
     fn lenses_are_looked_at_once_whatever_the_pose() {
         let folder = colmap_folder(&fixtures::scene(3), Encoding::Binary);
         let options = LoadOptions { test_every: 0, ..Default::default() };
-        let source = colmap::read(folder.path(), &options).unwrap();
+        let source = read(folder.path(), &options);
         let cameras = source.frames.iter().map(|frame| frame.camera);
         let (found, mut looks) = (PerLens::default(), 0);
         let mut width_of = |camera: &Camera| {

@@ -3,14 +3,12 @@
 //! Depth is what it is for the camera that took the photograph ([`dpges_core::camera`]): camera-space z, or the distance from
 //! the camera's centre through a fisheye lens.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use dpges_core::camera::Camera;
 use image::DynamicImage;
 
 use super::codec::decoded;
-use super::masks::called_like;
 use super::undistort;
 use crate::dataset::Picture;
 use crate::dataset::error::{DatasetError, Result};
@@ -79,20 +77,6 @@ impl DepthMap {
     }
 }
 
-/// The file of the depth map of a frame of the dataset in folder `root`: the one that it names, which may be missing, or
-/// the one named as its photograph, `NAME.EXTENSION.png` or `NAME.png`, if it is there.
-pub(in crate::dataset) fn file(root: &Path, frame: &Frame) -> Option<DepthFile> {
-    if frame.depth.is_some() {
-        return frame.depth.clone();
-    }
-    let name = Path::new(frame.name.strip_prefix("images/").unwrap_or(&frame.name));
-    // a name without an extension may end in what looks like one
-    let without_extension = name.file_name() == frame.image.file_stem();
-    let file_name = frame.image.file_name().filter(|_| without_extension);
-    let name = file_name.map_or_else(|| name.to_owned(), |file_name| name.with_file_name(file_name));
-    called_like(&name, &root.join(FOLDER)).map(|path| DepthFile { path, unit: DEFAULT_UNIT })
-}
-
 /// Reads the depth map of `frame` for its finished `picture` and the `camera` of that. Each pixel takes the value of the map
 /// where it lies, without interpolation: between the depths on both sides of an edge there is nothing. Pixels that do not
 /// count have unknown depth.
@@ -156,6 +140,8 @@ fn sampled(steps: &[u16], [columns, rows]: [usize; 2], kind: DepthKind, camera: 
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use image::{GrayImage, ImageBuffer, Luma};
 
     use super::*;

@@ -1,10 +1,11 @@
 //! Which pixels of photographs count: mask files, and what becomes of them where a photograph is made smaller.
 
 use std::fmt;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 use super::codec;
 use crate::dataset::View;
+use crate::dataset::companions::Companions;
 use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::formats::source::Frame;
 
@@ -46,62 +47,20 @@ impl fmt::Display for Masked {
     }
 }
 
-/// The file with the mask of a frame of the dataset in folder `root`: the one that the frame names, or else one in the
-/// folder `masks` beside the folder of images, with the same path in it, called `NAME.EXTENSION.png` (COLMAP) or
-/// `NAME.png`. Images in `images_N` may have theirs in `masks_N`.
+/// The file with the mask of a frame: that of `masks` for a photograph of a scale, the one that the frame names, or else that of
+/// `masks`.
 ///
 /// # Errors
 /// [`DatasetError::Missing`] if the file that the frame names is missing.
-pub(in crate::dataset) fn find(root: &Path, frame: &Frame) -> Result<Option<PathBuf>> {
-    let (folders, within) = places(root, &frame.image);
-    if let Some(named) = &frame.mask {
-        let own: PathBuf = components(root, named).skip(1).collect();
-        let scaled = folders.iter().filter(|folder| folder.as_str() != "masks");
-        let scaled = scaled.map(|folder| root.join(folder).join(&own));
-        let found = scaled.chain([named.clone()]).find(|path| path.is_file());
-        return found.map(Some).ok_or_else(|| frame.missing(named.clone(), &["mask", " or remove its name"]));
+pub(in crate::dataset) fn find(frame: &Frame, masks: &Companions<'_>, is_scaled: bool) -> Result<Option<PathBuf>> {
+    let own = masks.of(&frame.image);
+    match &frame.mask {
+        Some(named) if !(is_scaled && own.is_some()) => {
+            let lacks_it = || frame.missing(named.clone(), &["mask", " or remove its name"]);
+            named.is_file().then(|| Some(named.clone())).ok_or_else(lacks_it)
+        }
+        _ => Ok(own),
     }
-    Ok(folders.iter().find_map(|folder| called_like(&within, &root.join(folder))))
-}
-
-/// The mask in `folder` that is called like the image `name`, a path: `NAME.EXTENSION.png` (COLMAP) or `NAME.png`.
-pub(crate) fn called_like(name: &Path, folder: &Path) -> Option<PathBuf> {
-    let mut with_both = folder.join(name).into_os_string();
-    with_both.push(".png");
-    [PathBuf::from(with_both), folder.join(name.with_extension("png"))].into_iter().find(|path| path.is_file())
-}
-
-/// Folders in which the mask of an image may be, in this order, and its path in them, but for the extension.
-fn places(root: &Path, image: &Path) -> (Vec<String>, PathBuf) {
-    let parts = components(root, image);
-    let first = parts.clone().next().and_then(|part| part.as_os_str().to_str()).unwrap_or_default();
-    let mut folders = vec!["masks".to_owned()];
-    let scale = first.strip_prefix("images_");
-    if let Some(scale) = scale {
-        folders.insert(0, format!("masks_{scale}"));
-    }
-    let within = if first == "images" || scale.is_some() { parts.skip(1).collect() } else { parts.collect() };
-    (folders, within)
-}
-
-fn components<'a>(root: &Path, path: &'a Path) -> impl Iterator<Item = Component<'a>> + Clone {
-    path.strip_prefix(root).unwrap_or(path).components().filter(|part| *part != Component::CurDir)
-}
-
-/// Says so if there are masks, but none that belongs to a photograph.
-pub(in crate::dataset) fn warn_of_strangers(root: &Path, frames: &[Frame]) {
-    let folder = root.join("masks");
-    if folder.is_dir() && frames.iter().all(|frame| frame.mask.is_none()) {
-        tracing::warn!("{}", strangers(&folder));
-    }
-}
-
-/// A message about a `folder` of masks, none of which belongs to a photograph.
-pub(crate) fn strangers(folder: &Path) -> String {
-    format!(
-        "{} has no mask that is called like a photograph: that of NAME.jpg is NAME.jpg.png or NAME.png",
-        folder.display()
-    )
 }
 
 /// Which pixels of a picture count by the mask in file `path`, [height × width]: those that are not black, or, if it is

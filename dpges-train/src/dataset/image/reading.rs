@@ -190,14 +190,17 @@ mod tests {
     fn a_broken_photograph_of_many_is_named_when_it_is_needed() {
         let folder = colmap_folder(&fixtures::scene(SAMPLED_VIEWS + 6), Encoding::Binary);
         let path = folder.path().join("images/left/013.png");
-        let whole = std::fs::read(&path).unwrap();
-        // the header, and the begin of the pixels
-        std::fs::write(&path, &whole[..46]).unwrap();
+        let mut broken = std::fs::read(&path).unwrap();
+        // within the pixels
+        broken[45] ^= 0xff;
+        std::fs::write(&path, &broken).unwrap();
         let data = read(&folder, 0);
         let failed: Vec<_> = data.views().filter_map(|view| view.picture().err()).collect();
         assert_eq!(failed.len(), 1, "{failed:?}");
         assert_says(&failed[0], &["cannot read the photograph", "left/013.png", "cannot be decoded"]);
-        // another size is noticed at once
+        // another size, and an end that is missing, are noticed at once
+        std::fs::write(&path, &broken[..46]).unwrap();
+        assert_refused(folder.path(), &LoadOptions::default(), &["left/013.png", "cut short"]);
         fixtures::write_png(&path, 24, 20, [0; 3]);
         assert_refused(folder.path(), &LoadOptions::default(), &["left/013.png", "24x20"]);
     }

@@ -44,7 +44,8 @@ pub struct Psnr {
 }
 
 impl Report {
-    /// The report of `compressed`, made of `data`, which the file `scene` with the bytes `before` holds.
+    /// The report of `compressed`, made of `data`, which the file `scene` with the bytes `before` holds. Attributes of splats
+    /// are compared with those of a scene file.
     pub fn new(
         [scene, out]: [String; 2],
         data: &SceneData,
@@ -53,7 +54,9 @@ impl Report {
         psnr: Option<Psnr>,
     ) -> Result<Self, Error> {
         let after = &compressed.bytes;
-        let sizes = SceneData::stored_sizes(before, &scene)?.into_iter().zip(SceneData::stored_sizes(after, &out)?);
+        let plain = SceneData::stored_sizes(before, &scene)
+            .or_else(|_| SceneData::stored_sizes(&data.to_bytes(scene.as_ref())?, &scene))?;
+        let sizes = plain.into_iter().zip(SceneData::stored_sizes(after, &out)?);
         let attributes = sizes.filter_map(|((name, before), (_, after))| {
             let primitives = match name.split_once('.')? {
                 ("surfels", _) => data.surfels.len(),
@@ -136,7 +139,8 @@ mod tests {
         let json = serde_json::to_value(&report).unwrap();
         assert_eq!((&json["psnr_after"], &json["bits"]["detail"]), (&29.96.into(), &5.into()));
 
-        let report = Report::new(names, &data, &before, &compressed, None).unwrap();
+        let report = Report::new(names, &data, b"ply of splats", &compressed, None).unwrap();
+        assert_eq!((report.bytes_before, report.attributes["gaussians.positions"].bits_before), (13, 96.0));
         assert!(format!("{:?}", report.rows("no photographs")).contains("not measured: no photographs"));
         assert!(serde_json::to_value(&report).unwrap().get("psnr_after").is_none());
     }

@@ -1,86 +1,85 @@
 //! A mesh of the surfels of a scene, as the training views see them.
 
 use burn::tensor::Device;
+use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_render::export::ExportError;
-use dpges_render::export::mesh::{DepthView, Fusion, FusionOptions, TriangleMesh, depth_map};
+use dpges_render::export::mesh::{DepthView, Fusion, FusionOptions, SurfaceSample, TriangleMesh};
 
 use super::ExportFailure;
-use crate::dataset::{View, builtin_geometry};
+use crate::dataset::View;
+use crate::device::memory::machine_memory_bytes;
 use crate::eval::rendered::Renderer;
 
 /// Surfels farther than this are not meshed, extents.
 const FARTHEST_EXTENTS: f64 = 4.0;
 
-/// The mesh of `scene` in voxels of `voxel` world units, as `views` see it.
+/// Voxels that memory is taken for: 640 MB of them, or a sixteenth of the memory of the machine, but no more than a quarter.
+const VOXEL_BYTES: u64 = 20;
+const MOST_BYTES: u64 = 640_000_000;
+/// Views, and points of them, that decide on the size of voxels.
+const SAMPLED_VIEWS: usize = 64;
+const SAMPLED_POINTS: usize = 200_000;
+
+/// The mesh of `scene` as `views` see it, and the size of its voxels, world units: `voxel`, or else as fine as the views, or as
+/// memory allows.
 ///
 /// # Errors
-/// [`ExportError::NoSurfels`] and others.
-pub fn mesh(scene: &SceneData, views: &[View], voxel: f64, device: &Device) -> Result<TriangleMesh, ExportFailure> {
+/// [`ExportError::SmallestVoxel`] if memory does not allow `voxel`; [`ExportError::NoSurfels`] and others.
+pub fn mesh(
+    scene: &SceneData,
+    views: &[View],
+    voxel: Option<f64>,
+    device: &Device,
+) -> Result<(TriangleMesh, f64), ExportFailure> {
     if scene.surfels.is_empty() {
         return Err(ExportError::NoSurfels.into());
     }
     let farthest = FARTHEST_EXTENTS * scene.info.extent;
-    let mut fusion = Fusion::new(FusionOptions { farthest, ..FusionOptions::new(voxel) })?;
+    let memory = machine_memory_bytes().unwrap_or(4 * MOST_BYTES);
+    let max_voxels = (MOST_BYTES.max(memory / 16).min(memory / 4) / VOXEL_BYTES) as usize;
     let renderer = Renderer::new(scene, device);
-    for view in views {
-        let rendered = renderer.render(&view.camera)?;
-        let Some(render) = rendered.peeled() else { return Err(ExportError::NoSurfels.into()) };
-        let geometry = renderer.geometry(&view.camera, render);
-        let pixels = view.camera.width * view.camera.height;
-        let transmittance = tensor_to_rows(&render.composite.transmittance);
-        let behind = &transmittance[transmittance.len() - pixels..];
-        let coverage: Vec<f32> = behind.iter().map(|transmittance| 1.0 - transmittance).collect();
-        let blended = tensor_to_rows(&geometry.depth);
-        // 0 / 0 where nothing is covered, which is no depth
-        let depth: Vec<f32> = blended.iter().zip(&coverage).map(|(depth, coverage)| depth / coverage).collect();
-        let colour = tensor_to_rows(&render.composite.image);
-        fusion.add(&DepthView { camera: &view.camera, depth: &depth, coverage: &coverage, colour: &colour })?;
+    let mut sample = SurfaceSample::default();
+    let pixels: usize = views.iter().take(SAMPLED_VIEWS).map(|view| view.camera.width * view.camera.height).sum();
+    let stride = ((pixels as f64 / SAMPLED_POINTS as f64).sqrt().ceil() as usize).max(1);
+    for view in views.iter().step_by(views.len().div_ceil(SAMPLED_VIEWS).max(1)) {
+        with_depth(&renderer, &view.camera, |view| sample.add(view, stride, farthest))?;
     }
-    Ok(fusion.finish()?)
+    let size = match voxel {
+        Some(voxel) => {
+            let options = FusionOptions::new(voxel);
+            Fusion::new(options)?;
+            let smallest = sample.smallest_voxel(voxel, max_voxels);
+            if smallest > voxel {
+                return Err(ExportError::SmallestVoxel { voxel, smallest, limit: max_voxels }.into());
+            }
+            voxel
+        }
+        None => sample.voxel(max_voxels)?,
+    };
+    let mut fusion = Fusion::new(FusionOptions { voxel: size, farthest, max_voxels })?;
+    for view in views {
+        with_depth(&renderer, &view.camera, |view| fusion.add(view))?;
+    }
+    Ok((fusion.finish()?, size))
 }
 
-/// How far the mesh is from the ray-traced scene in `views`, in words.
-pub fn exact_error(mesh: &TriangleMesh, views: &[View]) -> String {
-    let (mut errors, mut missing) = (Vec::new(), 0);
-    for view in views {
-        let (exact, _) = builtin_geometry(&view.camera);
-        for (found, exact) in depth_map(mesh, &view.camera).into_iter().zip(exact) {
-            if found > 0.0 { errors.push((found - exact).abs()) } else { missing += 1 }
-        }
-    }
-    if errors.is_empty() {
-        return "the held-out views do not show the mesh".to_owned();
-    }
-    errors.sort_unstable_by(f32::total_cmp);
-    let percentile = |share: f64| errors[(share * (errors.len() - 1) as f64).round() as usize];
-    let holes = 100.0 * f64::from(missing) / (errors.len() as f64 + f64::from(missing));
-    let (median, most) = (percentile(0.5), percentile(0.95));
-    format!(
-        "off by {median:.4} world units (median), {most:.4} (95th percentile), {holes:.1} % of pixels without a mesh"
-    )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::dataset::{BuiltinOptions, builtin};
-
-    #[test]
-    fn a_mesh_of_exact_depths_is_near_the_exact_scene() {
-        let options =
-            BuiltinOptions { width: 64, height: 64, train_views: 12, test_views: 2, points: 0, ..Default::default() };
-        let data = builtin(&options);
-        let mut fusion = Fusion::new(FusionOptions::new(0.06)).unwrap();
-        for view in &data.train {
-            let (depth, _) = builtin_geometry(&view.camera);
-            let (coverage, colour) = (vec![1.0; depth.len()], &view.picture().unwrap().planes());
-            fusion.add(&DepthView { camera: &view.camera, depth: &depth, coverage: &coverage, colour }).unwrap();
-        }
-        let text = exact_error(&fusion.finish().unwrap(), &data.test);
-        let median: f64 = text.split(' ').nth(2).unwrap().parse().unwrap();
-        assert!(median < 0.01, "{text}");
-        assert!(exact_error(&TriangleMesh::default(), &data.test).contains("do not show"));
-    }
+/// Calls `use_view` with the surfels as `camera` sees them.
+fn with_depth(
+    renderer: &Renderer,
+    camera: &Camera,
+    use_view: impl FnOnce(&DepthView<'_>) -> Result<(), ExportError>,
+) -> Result<(), ExportFailure> {
+    let rendered = renderer.render(camera)?;
+    let Some(render) = rendered.peeled() else { return Err(ExportError::NoSurfels.into()) };
+    let geometry = renderer.geometry(camera, render);
+    let transmittance = tensor_to_rows(&render.composite.transmittance);
+    let behind = &transmittance[transmittance.len() - camera.width * camera.height..];
+    let coverage: Vec<f32> = behind.iter().map(|transmittance| 1.0 - transmittance).collect();
+    let blended = tensor_to_rows(&geometry.depth);
+    // 0 / 0 where nothing is covered, which is no depth
+    let depth: Vec<f32> = blended.iter().zip(&coverage).map(|(depth, coverage)| depth / coverage).collect();
+    let colour = tensor_to_rows(&render.composite.image);
+    Ok(use_view(&DepthView { camera, depth: &depth, coverage: &coverage, colour: &colour })?)
 }

@@ -1,5 +1,6 @@
 //! Files for other programs: what needs a device or a dataset. The formats are those of [`dpges_render::export`].
 
+pub mod format;
 pub mod mesh;
 pub mod page;
 pub mod splats;

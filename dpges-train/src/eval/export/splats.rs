@@ -1,10 +1,12 @@
 //! Splats that stand for a scene, trained a little further if asked to.
 
+use std::path::Path;
+
 use burn::tensor::Device;
 use dpges_core::Result;
-use dpges_core::scene::SceneData;
-use dpges_render::export::spz::{SpzVersion, from_spz, to_spz};
-use dpges_render::export::{ExportError, SplatCloud, UpAxis, flatten, to_glb, to_ply};
+use dpges_core::scene::{Rendering, SceneData, ScreenFilter};
+use dpges_render::export::spz::{SpzVersion, to_spz};
+use dpges_render::export::{Coordinates, ExportError, MAX_DEGREE, SplatCloud, flatten, read_splats, to_glb, to_ply};
 
 use super::ExportFailure;
 use crate::dataset::View;
@@ -22,22 +24,39 @@ pub enum SplatFormat {
     Glb,
 }
 
-/// The splats of `scene` with harmonics of `degree`, trained for `steps` on `views`.
+/// The filter of the programs that show splats of `scene`, unless it is given: that of blended Gaussians.
+pub fn filter_of(scene: &SceneData) -> ScreenFilter {
+    match scene.info.rendering {
+        Rendering::Ellipsoids => scene.info.screen_filter,
+        _ => ScreenFilter::Compensated,
+    }
+}
+
+/// Whether splats of `scene` that are shown with `filter` are no more than an approximation, which a fit makes better.
+pub fn is_changed(scene: &SceneData, filter: ScreenFilter) -> bool {
+    scene.info.rendering == Rendering::Peeled || filter != filter_of(scene)
+}
+
+/// The splats of `scene` with harmonics of `degree` for programs with `filter`, trained for `steps` on `views`.
 ///
 /// # Errors
 /// The errors of [`flatten()`] and [`fit`].
 pub fn splats(
     scene: &SceneData,
     degree: usize,
+    filter: ScreenFilter,
     steps: usize,
     views: &[View],
     device: &Device,
 ) -> Result<SplatCloud, ExportFailure> {
-    let cloud = flatten(scene, degree)?;
+    let mut cloud = flatten(scene, degree.min(MAX_DEGREE))?;
+    cloud.info.screen_filter = filter;
     if steps == 0 {
         return Ok(cloud);
     }
-    let fitted = fit(&in_front_of(&cloud, scene), views, steps, device, |completed| {
+    // with what lies behind, which the formats have no place for: splats do not have to make up for it
+    let start = SceneData { environment: scene.environment.clone(), ..cloud.to_scene() };
+    let fitted = fit(&start, views, steps, device, |completed| {
         if completed % REPORT_EVERY == 0 || completed == steps {
             tracing::info!("splats: step {completed}/{steps}");
         }
@@ -45,32 +64,25 @@ pub fn splats(
     Ok(flatten(&fitted, degree)?)
 }
 
-/// The bytes of a file of `cloud`, and the splats that it holds.
+/// The bytes of a file of `cloud`. Only PLY has coordinates of the dataset.
 ///
 /// # Errors
 /// The errors of the format.
-pub fn file(cloud: SplatCloud, format: SplatFormat, up: UpAxis) -> Result<(Vec<u8>, SplatCloud), ExportError> {
-    Ok(match format {
-        SplatFormat::Ply => (to_ply(&cloud, up), cloud),
-        SplatFormat::Glb => (to_glb(&cloud, up)?, cloud),
-        SplatFormat::Spz(version) => {
-            let bytes = to_spz(&cloud, up, version)?;
-            let held = from_spz(&bytes)?.rotated(up.to_rub().transpose());
-            (bytes, SplatCloud { info: cloud.info, ..held })
-        }
-    })
+pub fn file(cloud: &SplatCloud, format: SplatFormat, coordinates: Coordinates) -> Result<Vec<u8>, ExportError> {
+    match format {
+        SplatFormat::Ply => Ok(to_ply(cloud, coordinates)),
+        SplatFormat::Glb => to_glb(cloud),
+        SplatFormat::Spz(version) => to_spz(cloud, version),
+    }
 }
 
-/// PSNR of `scene` and of `cloud` in its place, mean over `views`, dB.
+/// PSNR of `scene`, and of what the bytes of a file hold, mean over `views`, dB.
 ///
 /// # Errors
-/// The errors of [`evaluate`].
-pub fn loss(scene: &SceneData, cloud: &SplatCloud, views: &[View], device: &Device) -> Result<[f64; 2]> {
-    let before = evaluate(scene, views, device)?.psnr;
-    Ok([before, evaluate(&in_front_of(cloud, scene), views, device)?.psnr])
-}
-
-/// The scene of `cloud` with what lies behind `scene`, which the formats have no place for.
-fn in_front_of(cloud: &SplatCloud, scene: &SceneData) -> SceneData {
-    SceneData { environment: scene.environment.clone(), ..cloud.to_scene() }
+/// The errors of [`evaluate`]; [`ExportError::Malformed`] if the file cannot be read again.
+pub fn loss(scene: &SceneData, bytes: &[u8], views: &[View], device: &Device) -> Result<[f64; 2], ExportFailure> {
+    let malformed = |reason| ExportError::Malformed { format: "exported", reason };
+    let read = read_splats(bytes, Path::new("")).unwrap_or_else(|| Err("it holds no splats".to_owned()));
+    let held = read.map_err(malformed)?.scene.relocated(scene.info.offset);
+    Ok([evaluate(scene, views, device)?.psnr, evaluate(&held, views, device)?.psnr])
 }

@@ -26,11 +26,12 @@ pub struct LayerPictures {
 }
 
 impl LayerPictures {
-    /// Writes them to a folder, as `STEM_surfels.png`, `STEM_depth.png`, `STEM_normal.png`, `STEM_transmittance_1.png`, ….
+    /// Writes them to a folder and returns the names of the files, `STEM_surfels.png`, `STEM_depth.png`, `STEM_normal.png`,
+    /// `STEM_transmittance_1.png`, ….
     ///
     /// # Errors
     /// [`Error::Io`](dpges_core::Error::Io) naming the file.
-    pub fn save(&self, folder: &Path, stem: &str) -> dpges_core::Result<()> {
+    pub fn save(&self, folder: &Path, stem: &str) -> dpges_core::Result<Vec<String>> {
         let mut named = vec![
             ("surfels".to_owned(), &self.surfels),
             ("depth".to_owned(), &self.depth),
@@ -38,7 +39,12 @@ impl LayerPictures {
         ];
         let behind = self.transmittance.iter().zip(1..);
         named.extend(behind.map(|(picture, layer)| (format!("transmittance_{layer}"), picture)));
-        named.into_iter().try_for_each(|(name, picture)| save_png(picture, &folder.join(format!("{stem}_{name}.png"))))
+        let save = |(name, picture): (String, &Rgb8Image)| {
+            let name = format!("{stem}_{name}.png");
+            save_png(picture, &folder.join(&name))?;
+            Ok(name)
+        };
+        named.into_iter().map(save).collect()
     }
 }
 

@@ -53,6 +53,7 @@ pub struct Renderer {
     /// [(degree + 1)², 3]
     environment: Option<Tensor<2>>,
     options: Options,
+    device: Device,
 }
 
 #[derive(Clone, Debug)]
@@ -134,7 +135,25 @@ impl Renderer {
             job,
             environment: scene.environment.as_ref().map(|e| rows_to_tensor(&e.coefficients, 3, device, DType::F32)),
             options,
+            device: device.clone(),
         }
+    }
+
+    /// The same scene before a constant `background`.
+    #[must_use]
+    pub fn before(&self, background: [f64; 3]) -> Self {
+        let mut other = self.clone();
+        match &mut other.options {
+            Options::Peeled(options) => options.background = background,
+            Options::Blended(options) => options.background = background,
+            Options::Summed(options, _) => options.background = background,
+        }
+        other
+    }
+
+    /// The device that has the scene.
+    pub fn device(&self) -> &Device {
+        &self.device
     }
 
     /// Renders the view from `camera`, in the coordinates of the scene.

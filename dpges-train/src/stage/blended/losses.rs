@@ -10,11 +10,12 @@ use dpges_core::scene::Gaussians;
 
 use super::schedule::RELOCATION;
 use crate::config::{DiscsConfig, Relocation, RelocationConfig, StagePlan};
+use crate::optimizer::unit_of;
 
 /// Steps from which normals and depth distortion of discs are in the loss (2DGS).
 const NORMAL_FROM: usize = 7000;
 const DISTORTION_FROM: usize = 3000;
-/// Weight of the mean scale of relocated Gaussians, per world unit (3DGS-MCMC).
+/// Weight of the mean scale of relocated Gaussians, per world unit of a scene of the usual extent (3DGS-MCMC).
 const LAMBDA_SCALE: f64 = 0.01;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -41,14 +42,20 @@ impl Weights {
         }
     }
 
-    /// The weights of Gaussians after `completed` steps. DBS has these terms only as long as it relocates.
-    pub fn of_relocated(config: &RelocationConfig, kind: Relocation, plan: StagePlan, completed: usize) -> Self {
+    /// The weights of Gaussians after `completed` steps in a scene of `extent` (world units). DBS has these terms only as long as
+    /// it relocates.
+    pub fn of_relocated(
+        config: &RelocationConfig,
+        kind: Relocation,
+        (plan, completed): (StagePlan, usize),
+        extent: f64,
+    ) -> Self {
         let relocates = (plan.scaled(RELOCATION.start)..plan.scaled(RELOCATION.end)).contains(&completed);
         if kind == Relocation::Beta && !relocates {
             return Self::default();
         }
         let signed = kind == Relocation::Student;
-        Self { opacity: config.lambda_opacity, signed, scale: LAMBDA_SCALE, ..Self::default() }
+        Self { opacity: config.lambda_opacity, signed, scale: LAMBDA_SCALE / unit_of(extent), ..Self::default() }
     }
 
     /// Whether the terms need normals or distortions of every pixel.
@@ -102,7 +109,7 @@ mod tests {
         let mean = |kind: Relocation, method: Method| {
             let mut config = Config::default();
             config.train.method = method;
-            let weights = Weights::of_relocated(&config.relocation, kind, config.plan()[0], 0);
+            let weights = Weights::of_relocated(&config.relocation, kind, (config.plan()[0], 0), 1.0);
             values(&weights.mean_opacity(&Tensor::from_floats([[-0.5], [0.25]], &device())))[0]
         };
         assert_eq!(mean(Relocation::Student, Method::Sss), 0.375);

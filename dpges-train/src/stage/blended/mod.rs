@@ -32,8 +32,8 @@ use super::{
     TrainError, Trained, WeightedSumState, environment, weighted_sum,
 };
 use crate::config::{Blended, Config, Density, OpacityActivation, Relocation, StagePlan};
-use crate::optimizer::LOGIT_RATE;
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
+use crate::optimizer::{LOGIT_RATE, unit_of};
 use losses::Weights;
 pub use momenta::Momenta;
 use momenta::MomentumStep;
@@ -235,7 +235,9 @@ impl BlendedStage {
         match self.blended {
             Blended::Discs => Weights::of_discs(&config.discs, self.plan, completed),
             Blended::Controlled(_) => Weights::default(),
-            Blended::Relocated(kind) => Weights::of_relocated(&config.relocation, kind, self.plan, completed),
+            Blended::Relocated(kind) => {
+                Weights::of_relocated(&config.relocation, kind, (self.plan, completed), self.info.extent)
+            }
         }
     }
 
@@ -262,11 +264,13 @@ impl BlendedStage {
 
     /// Takes the step of the momenta after `completed` ones, and moves the positions by it.
     fn move_by_momenta(&mut self, completed: usize, context: &mut Context) -> Result<(), TrainError> {
-        let rate = self.position_rate(completed, &context.config).sqrt();
+        let unit = unit_of(self.info.extent);
+        let rate = (self.position_rate(completed, &context.config) / unit).sqrt();
         let students = &context.config.students;
         let burn_in_steps = self.plan.scaled(students.burn_in);
         let burns_in = completed < burn_in_steps;
         let step = MomentumStep {
+            unit,
             rate,
             burns_in,
             friction: if burns_in { students.burn_in_friction } else { students.friction },

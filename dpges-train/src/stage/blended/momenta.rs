@@ -22,6 +22,8 @@ pub struct Momenta(Tensor<2>);
 
 #[derive(Clone, Copy, Debug)]
 pub struct MomentumStep {
+    /// World units of those that η, C and V are in.
+    pub unit: f64,
     /// η
     pub rate: f64,
     pub burns_in: bool,
@@ -56,7 +58,7 @@ impl Momenta {
         adam: &AdamStep,
         step: &MomentumStep,
     ) -> dpges_core::Result<Tensor<2>> {
-        let MomentumStep { rate, burns_in, friction, restarts, seed } = *step;
+        let MomentumStep { unit, rate, burns_in, friction, restarts, seed } = *step;
         let magnitudes = gaussians.opacities.clone().abs();
         let mut momenta = direction(positions, adam) * -rate;
         if !burns_in && !restarts {
@@ -64,11 +66,12 @@ impl Momenta {
             let gate = ((magnitudes.clone() - 0.005) * 100.0).clamp_max(80.0).exp().add_scalar(1.0).recip();
             momenta = momenta + self.0.clone() * (gate * (1.0 - rate * friction));
         }
-        let log_scales = if burns_in { gaussians.log_scales.clone() } else { gaussians.log_scales.zeros_like() };
+        let log_scales =
+            if burns_in { gaussians.log_scales.clone() - unit.ln() } else { gaussians.log_scales.zeros_like() };
         let amount = (2.0 * rate * friction).sqrt();
         let moved = Gaussians { positions: momenta, log_scales, opacities: magnitudes, ..gaussians.clone() };
         self.0 = jitter(&moved, &JitterOptions { gate: NoiseGate::Mcmc, amount, seed })?;
-        Ok(positions.raw() + self.0.clone() * rate)
+        Ok(positions.raw() + self.0.clone() * (rate * unit))
     }
 
     /// The momenta after relocation: sources keep theirs, what was relocated or added is at rest.
@@ -104,7 +107,7 @@ mod tests {
     }
 
     fn settings(rate: f64, burns_in: bool, restarts: bool, seed: u64) -> MomentumStep {
-        MomentumStep { rate, burns_in, friction: friction(burns_in), restarts, seed }
+        MomentumStep { unit: 1.0, rate, burns_in, friction: friction(burns_in), restarts, seed }
     }
 
     const ADAM: AdamStep = AdamStep { learning_rate: 0.0, beta_1: 0.9, beta_2: 0.999, epsilon: 1e-15, time: 1 };

@@ -11,6 +11,7 @@ use super::super::{Context, TrainError};
 use super::BlendedStage;
 use super::schedule::{BlendedDue, CAPPED_OPACITY, decay};
 use crate::config::{Blended, Density, GaussianStage, Relocation};
+use crate::optimizer::unit_of;
 use crate::refine::densify::{ByAbsolute, DensifyRule, densify, reset_opacities};
 use crate::refine::mcmc_relocation::{grown, relocate_and_add};
 
@@ -34,7 +35,7 @@ const MAX_SCALE: f64 = 0.1;
 const MAX_SCALE_FROM: usize = 3000;
 /// Factor on the number of Gaussians with each relocation, up to the budget (3DGS-MCMC).
 const GROWTH: f64 = 1.05;
-/// Noise on positions relative to their learning rate (3DGS-MCMC).
+/// Noise on positions relative to their learning rate, per squared world unit of a scene of the usual extent (3DGS-MCMC).
 const NOISE: f64 = 5e5;
 /// Jitter of DBS over that of 3DGS-MCMC, where both relocate.
 const BETA_NOISE: f64 = 0.1;
@@ -176,7 +177,8 @@ impl BlendedStage {
     /// Moves Gaussians at random, faint ones most.
     pub fn jitter(&mut self, gate: NoiseGate, completed: usize, context: &mut Context) -> Result<(), TrainError> {
         let factor = if gate == NoiseGate::Beta { BETA_NOISE } else { 1.0 };
-        let amount = NOISE * factor * self.position_rate(completed, &context.config);
+        let amount =
+            NOISE * factor * self.position_rate(completed, &context.config) / unit_of(self.info.extent).powi(2);
         if amount > 0.0 {
             let options = JitterOptions { gate, amount, seed: context.rng.random() };
             let positions = jitter(&self.gaussians.values(), &options)?;

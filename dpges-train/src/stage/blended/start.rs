@@ -1,8 +1,9 @@
 //! The start of a stage of blended Gaussians: the points of the dataset.
 
 use dpges_core::scene::schema::Columns;
-use dpges_core::scene::{GaussianData, Rendering, SH_C0, SurfelData};
+use dpges_core::scene::{GaussianData, Rendering, SH_C0, SceneData, SurfelData};
 
+use super::super::pretrained::SURFELS_FROM;
 use super::super::{Context, TrainError};
 use crate::config::{Blended, Relocation, StagePlan};
 use crate::init::{InitialScene, PrimitiveQuota, PrimitiveStart, initialise};
@@ -27,11 +28,16 @@ const START_FACTOR: f64 = 1.0;
 const CONTROLLED_SHARE: f64 = 0.5;
 
 impl Context {
-    /// Discs at the surfels that the configuration asks for, or at the Gaussians if there are no surfels.
+    /// Discs of a file, or at the surfels that the configuration asks for, or at the Gaussians if there are no surfels.
     ///
     /// # Errors
-    /// [`TrainError::Init`] if the dataset has nothing to begin with.
+    /// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Pretrained`] if the file is of no use.
     pub fn start_of_discs(&mut self, plan: StagePlan) -> Result<GaussianData, TrainError> {
+        match self.pretrained(SURFELS_FROM)? {
+            Some(SceneData { info, gaussians, .. }) if info.rendering == Rendering::Discs => return Ok(gaussians),
+            Some(SceneData { surfels, .. }) => return Ok(flat(surfels)),
+            None => {}
+        }
         let start = self.start(CONTROLLED_SHARE * plan.budget_share, OPACITY, SCALE)?;
         let mut discs = if start.surfels.is_empty() { start.gaussians } else { flat(start.surfels) };
         discs.opacities.fill(OPACITY as f32);
@@ -46,8 +52,11 @@ impl Context {
             None => (OPACITY, SCALE),
         };
         let share = if matches!(blended, Blended::Controlled(_)) { CONTROLLED_SHARE } else { 1.0 };
-        let mut start = self.start(share * plan.budget_share, opacity, scale)?.gaussians;
-        if is_student {
+        let mut start = match self.given_gaussians(self.most_primitives(plan.budget_share))? {
+            Some(gaussians) => gaussians,
+            None => self.start(share * plan.budget_share, opacity, scale)?.gaussians,
+        };
+        if is_student && start.degrees_of_freedom.is_none() {
             start.degrees_of_freedom = Some(vec![START_DEGREES; start.len()]);
         }
         let model = blended.colour_model(start.model());

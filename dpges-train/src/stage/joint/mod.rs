@@ -32,6 +32,7 @@ use super::{
 use crate::config::{Config, OpacityActivation, StagePlan};
 use crate::init::InitialScene;
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
+use crate::optimizer::unit_of;
 use crate::refine::growth::Growth;
 use crate::refine::prune::drawn;
 pub use dealt::{Dealt, OWNERS, in_order};
@@ -233,7 +234,7 @@ impl Stage for JointStage {
                 None => supervision,
             };
             let weights = GeometryWeights {
-                depth: train.lambda_disc_depth,
+                depth: train.lambda_disc_depth / unit_of(self.info.extent),
                 normal: train.lambda_disc_normal,
                 depth_normal: train.lambda_disc_depth_normal,
             };

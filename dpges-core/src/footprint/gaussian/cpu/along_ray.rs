@@ -4,10 +4,10 @@ use super::{Parameters, Splat};
 use crate::backend::real::Real;
 use crate::math::{CameraOf, M3, V3, apply, column, dot, rotation, scale};
 
-/// Smallest scale that counts, world units.
-pub const MIN_SCALE: f64 = 1e-3;
-/// Smallest dᵀ Σ⁻¹ d that is divided by.
-pub const MIN_FORM: f64 = 1e-5;
+/// Smallest scale that counts, over the distance of the centre from the camera (StopThePop: 1e-3 world units).
+pub const MIN_SCALE: f64 = 2.5e-4;
+/// Smallest dᵀ Σ⁻¹ d that is divided by, so that it is not 0.
+pub const MIN_FORM: f64 = 1e-30;
 
 /// A Gaussian as rays meet it.
 #[derive(Clone, Copy, Debug)]
@@ -21,12 +21,13 @@ pub struct AlongRay<T> {
 
 impl<T: Real> AlongRay<T> {
     pub fn new(camera: &CameraOf<T>, p: &Parameters<T>, splat: Splat<T>) -> Self {
-        let axes = rotation(p.quaternion);
+        let (axes, centre) = (rotation(p.quaternion), camera.transform(p.position));
+        let least = T::of(MIN_SCALE) * dot(centre, centre).sqrt();
         let whitening: M3<T> = std::array::from_fn(|d| {
-            let deviation = p.log_scales[d].exp().max(T::of(MIN_SCALE));
+            let deviation = p.log_scales[d].exp().max(least);
             scale(apply(&camera.rotation, column(&axes, d)), T::one() / deviation)
         });
-        Self { splat, whitening, centre: apply(&whitening, camera.transform(p.position)) }
+        Self { splat, whitening, centre: apply(&whitening, centre) }
     }
 
     /// t* along a [`unit_ray`], world units from the camera.

@@ -34,10 +34,11 @@ record! {
 impl AlongRay {
     /// The values of the Gaussian with these axes, by rows, and this centre, in camera axes.
     pub fn new(axes: Mat3, log_scales: Vec3, centre: Vec3) -> AlongRay {
+        let least = MIN_SCALE * f32::sqrt(dot(centre, centre));
         let whitening = Mat3 {
-            row0: scale(axes.row0, 1.0f32 / max(f32::exp(log_scales.x), MIN_SCALE)),
-            row1: scale(axes.row1, 1.0f32 / max(f32::exp(log_scales.y), MIN_SCALE)),
-            row2: scale(axes.row2, 1.0f32 / max(f32::exp(log_scales.z), MIN_SCALE)),
+            row0: scale(axes.row0, 1.0f32 / max(f32::exp(log_scales.x), least)),
+            row1: scale(axes.row1, 1.0f32 / max(f32::exp(log_scales.y), least)),
+            row2: scale(axes.row2, 1.0f32 / max(f32::exp(log_scales.z), least)),
         };
         let centre = apply(whitening, centre);
         AlongRay { row0: whitening.row0, row1: whitening.row1, row2: whitening.row2, centre }

@@ -5,10 +5,14 @@ use std::path::Path;
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Projection};
 
 use super::super::source::lens;
+use super::radial_fit;
 use crate::dataset::error::{DatasetError, Result};
 
+/// Largest error of a lens that is fitted, px.
+const MOST_ERROR_PX: f64 = 0.05;
+
 /// Models by numeric id: name and number of parameters.
-const MODELS: [(&str, usize); 12] = [
+const MODELS: [(&str, usize); 18] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
     ("SIMPLE_RADIAL", 4),
@@ -21,6 +25,12 @@ const MODELS: [(&str, usize); 12] = [
     ("RADIAL_FISHEYE", 5),
     ("THIN_PRISM_FISHEYE", 12),
     ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 ];
 
 /// Name and number of parameters of the model with numeric `id`.
@@ -84,24 +94,66 @@ impl CameraRecord {
                 };
                 ([fx, fy], [cx, cy], bent)
             }
+            ("SIMPLE_FISHEYE", &[f, cx, cy]) => ([f, f], [cx, cy], fisheye([0.0; 4])),
+            ("FISHEYE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], fisheye([0.0; 4])),
+            ("SIMPLE_DIVISION", &[f, cx, cy, k]) => ([f, f], [cx, cy], self.fitted(path, [f, f, cx, cy], division(k))?),
+            ("DIVISION", &[fx, fy, cx, cy, k]) => {
+                ([fx, fy], [cx, cy], self.fitted(path, [fx, fy, cx, cy], division(k))?)
+            }
+            ("EUCM", &[fx, fy, cx, cy, alpha, beta]) => {
+                ([fx, fy], [cx, cy], self.fitted(path, [fx, fy, cx, cy], eucm(alpha, beta))?)
+            }
+            ("EQUIRECTANGULAR", &[_, _]) => {
+                return Err(
+                    self.unsupported(path, "a panorama fits no picture of a pinhole; cut it into pictures first")
+                );
+            }
             // without an angle it is a pinhole
             ("FOV", &[fx, fy, cx, cy, 0.0]) => ([fx, fy], [cx, cy], perspective),
             ("FOV", &[fx, fy, cx, cy, omega]) => ([fx, fy], [cx, cy], Distortion::new(Projection::FieldOfView(omega))),
-            (model, params) if MODELS.iter().any(|(name, _)| *name == model) => {
+            (model, params) => {
+                let Some((_, count)) = MODELS.iter().find(|(name, _)| *name == model) else {
+                    return Err(self.unsupported(path, "it is unknown here"));
+                };
                 let what = format!("the number of parameters of camera {} ({model})", self.id);
-                return Err(DatasetError::malformed(path, what, params.len(), "as many as the model has"));
-            }
-            _ => {
-                return Err(DatasetError::CameraModel {
-                    path: path.to_owned(),
-                    camera: format!("camera {}", self.id),
-                    model: self.model.clone(),
-                    reason: "it is unknown here",
-                });
+                return Err(DatasetError::malformed(path, what, params.len(), count));
             }
         };
         let ([fx, fy], [cx, cy], lens) = (focal, centre, lens(distortion));
         let (width, height) = (self.width as usize, self.height as usize);
         Ok(Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens })
+    }
+
+    fn unsupported(&self, path: &Path, reason: &'static str) -> DatasetError {
+        let (camera, model) = (format!("camera {}", self.id), self.model.clone());
+        DatasetError::CameraModel { path: path.to_owned(), camera, model, reason }
+    }
+
+    /// The distortion whose angles are those of `ray`, for a radius in focal lengths the distance from the axis and along it.
+    fn fitted(
+        &self,
+        path: &Path,
+        [fx, fy, cx, cy]: [f64; 4],
+        ray: impl Fn(f64) -> Option<[f64; 2]>,
+    ) -> Result<Distortion> {
+        let across = cx.abs().max((self.width as f64 - cx).abs()) / fx;
+        let along = cy.abs().max((self.height as f64 - cy).abs()) / fy;
+        let reason = "its formula is too far from the others that are possible here";
+        radial_fit::equidistant(across.hypot(along), MOST_ERROR_PX / fx.max(fy), ray)
+            .ok_or_else(|| self.unsupported(path, reason))
+    }
+}
+
+/// (x, y) / (1 + k r²) (Fitzgibbon).
+fn division(k: f64) -> impl Fn(f64) -> Option<[f64; 2]> {
+    move |radius| Some([radius, 1.0 + k * radius * radius])
+}
+
+/// The enhanced unified camera model (Khomutenko et al.).
+fn eucm(alpha: f64, beta: f64) -> impl Fn(f64) -> Option<[f64; 2]> {
+    move |radius| {
+        let squared = beta * radius * radius;
+        let root = 1.0 - (2.0 * alpha - 1.0) * squared;
+        (root >= 0.0).then(|| [radius, (1.0 - alpha * alpha * squared) / (alpha * root.sqrt() + 1.0 - alpha)])
     }
 }

@@ -1,24 +1,30 @@
 //! COLMAP's sparse models, binary and text (<https://colmap.github.io/format.html>).
 //!
 //! A dataset has `images/` beside `sparse/`. The model lies in `sparse/0`, in `sparse` itself, or, if mapping produced
-//! several models, in the `sparse/N` with the most registered images.
+//! several models, in the `sparse/N` with the most registered images. `images` has the pose of every camera of a rig, so that
+//! `rigs` and `frames` are not needed.
 
 mod binary;
 mod camera_model;
+mod radial_fit;
 mod text;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use dpges_core::camera::CameraFromWorld;
+use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::DVec3;
 
 use self::camera_model::CameraRecord;
 use super::source::{Frame, RawPoints, Source};
-use super::split;
-use crate::dataset::error::{DatasetError, Result, unreadable};
+use super::{ply, split};
+use crate::dataset::error::{DatasetError, Result};
+use crate::dataset::layout::Layout;
 use crate::dataset::names::listing;
 use crate::dataset::{Format, LoadOptions, Tracks};
+
+/// Difference from 1 of the length of a quaternion that is said.
+const MOST_SCALED: f64 = 1e-2;
 
 /// A registered image.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,24 +47,32 @@ struct PointRecord {
     track: Vec<u32>,
 }
 
-/// The views and points of the COLMAP dataset in folder `root`.
+/// The views and points of a COLMAP dataset with these `models`, of which the one with the most images is used.
 ///
 /// # Errors
-/// [`DatasetError`] for files that are missing, truncated or malformed, for unknown lenses, for a model without points.
-pub(in crate::dataset) fn read(root: &Path, options: &LoadOptions) -> Result<Source> {
-    let sparse = root.join("sparse");
-    let (model, mut images) = largest_model(&sparse)?;
+/// [`DatasetError`] for files that are missing, truncated or malformed, for unknown lenses.
+pub(in crate::dataset) fn read(layout: &Layout, models: &[PathBuf], options: &LoadOptions) -> Result<Source> {
+    let root = &layout.folder.root;
+    let (model, mut images) = largest_model(models, root)?;
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let described_in = file(&model, "images")?;
-    let frames = frames(root, &model, &described_in, &images, options)?;
-    let points = points(&model, &images)?;
-    Ok(Source {
-        format: Format::Colmap,
-        frames,
-        points,
-        described_in,
-        no_test_reason: "test.txt names no registered image",
-    })
+    let mut source = Source::new(Format::Colmap, described_in, "test.txt names no registered image");
+    let scaled = images.iter().filter_map(|image| {
+        let scale = image.wxyz.iter().map(|number| number * number).sum::<f64>().sqrt();
+        ((scale - 1.0).abs() > MOST_SCALED).then(|| (image.name.clone(), scale))
+    });
+    source.say_scaled(&scaled.collect::<Vec<_>>());
+    let frame_of = read_frames(&mut source, layout, &model, &images, options)?;
+    source.points = points(layout, &model, &frame_of, &mut source.used)?;
+    Ok(source)
+}
+
+/// Names of the images in the model in a folder.
+///
+/// # Errors
+/// [`DatasetError`] for files that are missing, truncated or malformed.
+pub(in crate::dataset) fn image_names(model: &Path) -> Result<Vec<String>> {
+    Ok(images(model)?.into_iter().map(|image| image.name).collect())
 }
 
 /// The content of a model.
@@ -74,7 +88,7 @@ pub(crate) struct ModelContent {
 /// # Errors
 /// [`DatasetError`] for files that are missing, truncated or malformed.
 pub(crate) fn model_content(model: &Path) -> Result<ModelContent> {
-    let mut images: Vec<String> = images(model)?.into_iter().map(|image| image.name).collect();
+    let mut images = image_names(model)?;
     images.sort();
     let mut points = 0;
     for record in records(&file(model, "points3D")?)?.records {
@@ -82,6 +96,15 @@ pub(crate) fn model_content(model: &Path) -> Result<ModelContent> {
         points += 1;
     }
     Ok(ModelContent { images, points })
+}
+
+/// The cameras of the images of the model in folder `model` and their names, in the order of the file.
+///
+/// # Errors
+/// [`DatasetError`] for files that are missing, truncated or malformed, for unknown lenses.
+pub(in crate::dataset) fn model_cameras(model: &Path) -> Result<Vec<(String, Camera)>> {
+    let (cameras, described_in) = (Cameras::read(model)?, file(model, "images")?);
+    images(model)?.into_iter().map(|image| Ok((image.name.clone(), cameras.of(&image, &described_in)?))).collect()
 }
 
 /// The points of a file, read one by one: a large capture has gigabytes of them.
@@ -116,87 +139,95 @@ fn is_binary(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "bin")
 }
 
-fn largest_model(sparse: &Path) -> Result<(PathBuf, Vec<ImageRecord>)> {
-    let holds_model =
-        |folder: &PathBuf| ["bin", "txt"].iter().any(|ext| folder.join("cameras").with_extension(ext).is_file());
-    let mut folders: Vec<PathBuf> = std::fs::read_dir(sparse)
-        .map_err(unreadable(sparse))?
-        .flatten()
-        .map(|entry| entry.path())
-        .chain([sparse.to_owned()])
-        .filter(holds_model)
-        .collect();
-    folders.sort();
+fn largest_model(models: &[PathBuf], root: &Path) -> Result<(PathBuf, Vec<ImageRecord>)> {
     let mut largest: Option<(PathBuf, Vec<ImageRecord>)> = None;
-    for folder in folders {
-        let images = images(&folder)?;
+    for folder in models {
+        let images = images(folder)?;
         if largest.as_ref().is_none_or(|(_, most)| images.len() > most.len()) {
-            largest = Some((folder, images));
+            largest = Some((folder.clone(), images));
         }
     }
-    largest.ok_or_else(|| DatasetError::NoModel { path: sparse.to_owned(), found: listing(sparse) })
+    let sparse = root.join("sparse");
+    largest.ok_or_else(|| DatasetError::NoModel { found: listing(&sparse), path: sparse })
 }
 
-fn frames(
-    root: &Path,
+/// The cameras of a model by their ids, and the file that has them.
+struct Cameras {
+    path: PathBuf,
+    records: BTreeMap<u32, CameraRecord>,
+}
+
+impl Cameras {
+    fn read(model: &Path) -> Result<Self> {
+        let path = file(model, "cameras")?;
+        let records = if is_binary(&path) { binary::cameras(&path)? } else { text::cameras(&path)? };
+        Ok(Self { path, records: records.into_iter().map(|camera| (camera.id, camera)).collect() })
+    }
+
+    /// That of an image which `described_in` has.
+    fn of(&self, image: &ImageRecord, described_in: &Path) -> Result<Camera> {
+        let record = self.records.get(&image.camera_id).ok_or_else(|| {
+            let what = format!("the camera of image `{}`", image.name);
+            let found = format!("{}, which {} does not hold", image.camera_id, self.path.display());
+            DatasetError::malformed(described_in, what, found, "the id of a camera")
+        })?;
+        let camera_from_world = CameraFromWorld::from_quaternion(image.wxyz, image.translation.into());
+        record.camera(&self.path, camera_from_world)
+    }
+}
+
+/// Adds the frames whose pictures are there to `source`. Returns their indices by the ids of images.
+fn read_frames(
+    source: &mut Source,
+    layout: &Layout,
     model: &Path,
-    described_in: &Path,
     images: &[ImageRecord],
     options: &LoadOptions,
-) -> Result<Vec<Frame>> {
-    let cameras_path = file(model, "cameras")?;
-    let records =
-        if is_binary(&cameras_path) { binary::cameras(&cameras_path)? } else { text::cameras(&cameras_path)? };
-    let cameras: BTreeMap<u32, CameraRecord> = records.into_iter().map(|camera| (camera.id, camera)).collect();
+) -> Result<BTreeMap<u32, u32>> {
+    let root = &layout.folder.root;
+    let cameras = Cameras::read(model)?;
     let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
-    let splits = match split::from_lists(&[root, &root.join("sparse"), model], &names)? {
-        Some(splits) => splits,
-        None => split::every_nth(images.len(), options.test_every),
-    };
-    images
-        .iter()
-        .zip(splits)
-        .map(|(image, split)| {
-            let camera = cameras.get(&image.camera_id).ok_or_else(|| {
-                let what = format!("the camera of image `{}`", image.name);
-                let found = format!("{}, which {} does not hold", image.camera_id, cameras_path.display());
-                DatasetError::malformed(described_in, what, found, "the id of a camera")
-            })?;
-            let camera_from_world = CameraFromWorld::from_quaternion(image.wxyz, image.translation.into());
-            Ok(Frame {
-                name: image.name.clone(),
-                image: root.join("images").join(&image.name),
-                mask: None,
-                camera: camera.camera(&cameras_path, camera_from_world)?,
-                split,
-                described_in: described_in.to_owned(),
-                depth: None,
-            })
-        })
-        .collect()
+    let splits = split::from_lists(&[root, &root.join("sparse"), model], &names, source)?;
+    let splits = splits.unwrap_or_else(|| split::every_nth(images.len(), options.test_every));
+    let pictures = layout.folder.pictures(&names, &["images", ""]);
+    let mut frame_of = BTreeMap::new();
+    for ((image, split), picture) in images.iter().zip(splits).zip(pictures) {
+        let camera = cameras.of(image, &source.described_in)?;
+        let Some(picture) = picture else {
+            source.missing.push(root.join("images").join(&image.name));
+            continue;
+        };
+        frame_of.insert(image.id, source.frames.len() as u32);
+        source.frames.push(Frame {
+            name: image.name.replace('\\', "/"),
+            image: picture,
+            mask: None,
+            camera,
+            is_sized: true,
+            header: None,
+            split,
+            described_in: source.described_in.clone(),
+            depth: None,
+        });
+    }
+    Ok(frame_of)
 }
 
-fn points(model: &Path, images: &[ImageRecord]) -> Result<RawPoints> {
-    let path = file(model, "points3D")?;
+/// The points of the model, or those of a PLY file beside it; none if there are none.
+fn points(layout: &Layout, model: &Path, frame_of: &BTreeMap<u32, u32>, used: &mut Vec<PathBuf>) -> Result<RawPoints> {
+    let Ok(path) = file(model, "points3D") else {
+        return ply::beside(&layout.folder, model, used);
+    };
     let PointRecords { count, observations, records } = records(&path)?;
-    let frame_of: BTreeMap<u32, u32> = images.iter().zip(0..).map(|(image, index)| (image.id, index)).collect();
     let (positions, colours) = (Vec::with_capacity(count), Vec::with_capacity(count));
     let mut points = RawPoints { positions, colours, seen_by: Tracks::with_room(count, observations) };
-    for (index, record) in records.enumerate() {
+    for record in records {
         let record = record?;
-        let position = DVec3::from_array(record.position);
-        if !position.as_vec3().is_finite() {
-            let what = format!("the position of point {index}");
-            return Err(DatasetError::malformed(&path, what, position, "finite coordinates"));
-        }
-        points.positions.push(position);
+        points.positions.push(DVec3::from_array(record.position));
         points.colours.push(record.rgb.map(|channel| f32::from(channel) / 255.0));
         points.seen_by.push(record.track.iter().filter_map(|image| frame_of.get(image).copied()));
     }
-    if points.positions.is_empty() {
-        return Err(DatasetError::NoPoints { path });
-    }
-    Ok(points)
+    if points.positions.is_empty() { ply::beside(&layout.folder, model, used) } else { Ok(points) }
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 use std::path::Path;
 
-use crate::dataset::fixtures::{self, Encoding, assert_refused, colmap_folder};
+use crate::dataset::fixtures::{self, Encoding, assert_refused, assert_says, colmap_folder, said};
 use crate::dataset::{Dataset, LoadOptions, load};
 use dpges_core::camera::{Distortion, Projection};
+use glam::DVec3;
 
 fn loaded(folder: &Path) -> Dataset {
     load(folder, &LoadOptions::default()).unwrap()
@@ -131,8 +132,10 @@ fn unknown_models_are_refused_by_name() {
     let of_name = ["cameras.txt: camera model EYE_OF_NEWT of camera 5", "undistort"];
     refused(colmap_folder(&scene, Encoding::Text).path(), &of_name);
     (scene.model, scene.params) = ((1, "PINHOLE"), vec![20.0; 3]);
-    let of_count = ["cameras.txt: the number of parameters of camera 5 (PINHOLE) is 3"];
+    let of_count = ["cameras.txt: the number of parameters of camera 5 (PINHOLE) is 3, expected 4"];
     refused(colmap_folder(&scene, Encoding::Text).path(), &of_count);
+    (scene.model, scene.params) = ((17, "EQUIRECTANGULAR"), vec![24.0, 16.0]);
+    refused(colmap_folder(&scene, Encoding::Binary).path(), &["cameras.bin: camera model EQUIRECTANGULAR", "panorama"]);
 }
 
 #[test]
@@ -158,7 +161,7 @@ fn malformed_text_names_file_and_line() {
     let cases = [
         ("cameras.txt", "5 PINHOLE 24 16 twenty 20 12 8\n", "cameras.txt: line 1"),
         ("images.txt", "# c\n107 1 0 0 0 0 0 0 5\n\n", "images.txt: line 2"),
-        ("images.txt", "7 1 0 0 0 0 0 0 5 a.png\n8 1 0 0 0 0 0 0 5 b.png\n", "images.txt: line 2"),
+        ("images.txt", "7 1 0 0 0 0 0 0 5 a.png\n1.0 2.0\n", "images.txt: line 2"),
         ("points3D.txt", "1 0 0 0 256 0 0 0.5\n", "points3D.txt: line 1"),
         ("cameras.txt", "6 PINHOLE 24 16 20 20 12 8\n", "images.txt: the camera of image `left/000.png` is 5"),
     ];
@@ -172,21 +175,114 @@ fn malformed_text_names_file_and_line() {
 }
 
 #[test]
-fn a_model_without_points_or_views_or_files_says_what_to_do() {
+fn a_model_without_views_or_files_says_what_to_do() {
     let mut scene = fixtures::scene(3);
-    scene.points[2].position.y = f64::NAN;
-    let not_finite = ["points3D.txt: the position of point 2 is"];
-    refused(colmap_folder(&scene, Encoding::Text).path(), &not_finite);
-    scene.points.clear();
     let folder = colmap_folder(&scene, Encoding::Binary);
-    refused(folder.path(), &["points3D.bin holds no points", "triangulator"]);
     let model = folder.path().join("sparse/0");
-    std::fs::remove_file(model.join("points3D.bin")).unwrap();
-    refused(folder.path(), &["points3D.bin is missing"]);
     std::fs::remove_file(model.join("cameras.bin")).unwrap();
     refused(folder.path(), &["sparse holds no COLMAP model", "found 0"]);
-
-    scene = fixtures::scene(3);
     scene.images.clear();
     refused(colmap_folder(&scene, Encoding::Binary).path(), &["images.bin: no views"]);
+}
+
+#[test]
+fn points_may_be_missing_lost_or_in_another_file() {
+    let mut scene = fixtures::scene(3);
+    scene.points[2].position.y = f64::NAN;
+    scene.points[3].position.x = 1e12;
+    let data = loaded(colmap_folder(&scene, Encoding::Text).path());
+    assert_eq!((data.points.positions.len(), data.points.seen_by.len()), (3, 3));
+    assert_says(said(&data), &["2 of the points are not finite, or far from everything"]);
+    let header =
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    let folder = colmap_folder(&scene, Encoding::Binary);
+    let model = folder.path().join("sparse/0");
+    std::fs::write(model.join("points3D.ply"), format!("{header}1 2 3\n")).unwrap();
+    assert_says(said(&loaded(folder.path())), &["Aside: points are not used (1): sparse/0/points3D.ply"]);
+    std::fs::remove_file(model.join("points3D.bin")).unwrap();
+    assert_eq!(loaded(folder.path()).points.positions, [[1.0, 2.0, 3.0]]);
+    std::fs::rename(model.join("points3D.ply"), folder.path().join("cloud.ply")).unwrap();
+    let none = loaded(folder.path());
+    assert!(none.points.positions.is_empty());
+    assert_says(said(&none), &["Unused: points are not used (1): cloud.ply"]);
+}
+
+/// Lenses of COLMAP 4 bend rays as its formulas say (`src/colmap/sensor/models.h`).
+#[test]
+fn lenses_without_a_polynomial_show_points_where_their_formulas_do() {
+    let division = |k: f64| {
+        move |p: DVec3| {
+            let across = p.x.hypot(p.y);
+            let r = 2.0 / (p.z + (p.z * p.z - 4.0 * across * across * k).sqrt());
+            [r * p.x, r * p.y]
+        }
+    };
+    let eucm = |p: DVec3| {
+        let rho = (1.1 * (p.x * p.x + p.y * p.y) + p.z * p.z).sqrt();
+        [p.x, p.y].map(|x| x / (0.6 * rho + 0.4 * p.z))
+    };
+    let fisheye = |p: DVec3| {
+        let across = p.x.hypot(p.y);
+        [p.x, p.y].map(|x| x * across.atan2(p.z) / across)
+    };
+    type Formula<'a> = &'a dyn Fn(DVec3) -> [f64; 2];
+    let cases: [((u32, &str), &[f64], Formula<'_>); 6] = [
+        ((12, "SIMPLE_DIVISION"), &[20.0, 12.0, 8.0, -0.15], &division(-0.15)),
+        ((12, "SIMPLE_DIVISION"), &[20.0, 12.0, 8.0, 0.1], &division(0.1)),
+        ((13, "DIVISION"), &[20.0, 22.0, 12.0, 8.0, -0.4], &division(-0.4)),
+        ((14, "SIMPLE_FISHEYE"), &[10.0, 12.0, 8.0], &fisheye),
+        ((15, "FISHEYE"), &[10.0, 11.0, 12.0, 8.0], &fisheye),
+        ((16, "EUCM"), &[10.0, 11.0, 12.0, 8.0, 0.6, 1.1], &eucm),
+    ];
+    for (model, params, formula) in cases {
+        let mut scene = fixtures::scene(3);
+        (scene.model, scene.params) = (model, params.to_vec());
+        for encoding in [Encoding::Binary, Encoding::Text] {
+            let options = LoadOptions { undistort: false, ..LoadOptions::default() };
+            let camera = load(colmap_folder(&scene, encoding).path(), &options).unwrap().train[0].camera;
+            let mut shown = 0;
+            for at in 0..400 {
+                let (x, y) = (f64::from(at % 20) * 1.2 + 0.3, f64::from(at / 20) * 0.8 + 0.3);
+                let Some(ray) = camera.ray(x, y) else { continue };
+                let [u, v] = formula(ray);
+                let error = (camera.fx * u + camera.cx - x).hypot(camera.fy * v + camera.cy - y);
+                assert!(error < 0.05, "{model:?}: {error} px at ({x}, {y})");
+                shown += 1;
+            }
+            assert_eq!(shown, 400, "{model:?}");
+        }
+    }
+    let mut scene = fixtures::scene(3);
+    (scene.model, scene.params) = ((16, "EUCM"), vec![10.0, 11.0, 12.0, 8.0, f64::NAN, 1.1]);
+    refused(colmap_folder(&scene, Encoding::Text).path(), &["EUCM"]);
+}
+
+#[test]
+fn quaternions_and_lines_as_other_programs_leave_them() {
+    let scene = fixtures::scene(3);
+    let folder = colmap_folder(&scene, Encoding::Text);
+    let expected = loaded(folder.path());
+    let path = folder.path().join("sparse/0/images.txt");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let scaled = |line: &str| {
+        let mut words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+        words[1..5].iter_mut().for_each(|word| *word = (2.0 * word.parse::<f64>().unwrap()).to_string());
+        words.join(" ")
+    };
+    // a mark, no lines of keypoints, and names of as many words as make triples
+    let entries = text.lines().filter(|line| line.ends_with(".png")).map(scaled);
+    let lines: Vec<String> = entries.map(|line| line.replace("left/", "left/a b ")).collect();
+    std::fs::write(&path, format!("\u{feff}{}\n", lines.join("\n"))).unwrap();
+    for image in &scene.images {
+        let file = folder.path().join("images").join(&image.name);
+        std::fs::rename(&file, file.with_file_name(format!("a b {}", &image.name[5..]))).unwrap();
+    }
+    let data = loaded(folder.path());
+    assert_eq!(data.train[0].name, "left/a b 001.png");
+    let apart = data.train[0].camera.camera_from_world.rotation - expected.train[0].camera.camera_from_world.rotation;
+    assert!(apart.to_cols_array().iter().all(|x| x.abs() < 1e-12));
+    assert_says(
+        said(&data),
+        &["Changed: rotations of views were scaled or rounded (3)", "left/a b 000.png (scale 2.000)"],
+    );
 }

@@ -5,12 +5,12 @@ use std::str::FromStr;
 
 use super::camera_model::CameraRecord;
 use super::{ImageRecord, PointRecord, PointRecords};
-use crate::dataset::error::{DatasetError, Result, read};
+use crate::dataset::error::{DatasetError, Result, read_text};
 
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Malformed`] with the line.
 pub(super) fn cameras(path: &Path) -> Result<Vec<CameraRecord>> {
-    let text = text(path)?;
+    let text = read_text(path)?;
     let camera = |mut line: Line| {
         Ok(CameraRecord {
             id: line.next()?,
@@ -24,13 +24,13 @@ pub(super) fn cameras(path: &Path) -> Result<Vec<CameraRecord>> {
     lines.filter(Line::is_entry).map(camera).collect()
 }
 
-/// An image has two lines; the second, its keypoints, may be empty.
+/// An image has two lines; the second, its keypoints, may be empty or missing.
 ///
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Malformed`] with the line.
 pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
-    let text = text(path)?;
-    let mut lines = lines(path, &text, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
+    let text = read_text(path)?;
+    let mut lines = lines(path, &text, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME").peekable();
     let mut images = Vec::new();
     while let Some(mut line) = lines.by_ref().find(Line::is_entry) {
         images.push(ImageRecord {
@@ -40,9 +40,10 @@ pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
             camera_id: line.next()?,
             name: line.remainder()?,
         });
-        if let Some(keypoints) = lines.next()
-            && keypoints.text.split_whitespace().count() % 3 != 0
-        {
+        // some programs write no line for an image without keypoints
+        let is_number = |word: &str| word.parse::<f64>().is_ok();
+        let Some(keypoints) = lines.next_if(|line| line.text.split_whitespace().all(is_number)) else { continue };
+        if keypoints.text.split_whitespace().count() % 3 != 0 {
             let layout = "X Y POINT3D_ID triples or an empty line after each image";
             return Err(Line { layout, ..keypoints }.malformed());
         }
@@ -53,10 +54,13 @@ pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Malformed`] with the line.
 pub(super) fn points(path: &Path) -> Result<PointRecords<'_>> {
-    let text = text(path)?;
+    let text = read_text(path)?;
     let point = |mut line: Line| {
         let _id: u64 = line.next()?;
         let position = [line.next()?, line.next()?, line.next()?];
+        if line.unread.trim().is_empty() {
+            return Ok(PointRecord { position, rgb: [128; 3], track: Vec::new() });
+        }
         let rgb = [line.next()?, line.next()?, line.next()?];
         let _error: f64 = line.next()?;
         let track: Vec<u32> = line.rest()?.chunks(2).map(|observation: &[u32]| observation[0]).collect();
@@ -66,10 +70,6 @@ pub(super) fn points(path: &Path) -> Result<PointRecords<'_>> {
     let records = lines.filter(Line::is_entry).map(point).collect::<Result<Vec<PointRecord>>>()?;
     let observations = records.iter().map(|record| record.track.len()).sum();
     Ok(PointRecords { count: records.len(), observations, records: Box::new(records.into_iter().map(Ok)) })
-}
-
-fn text(path: &Path) -> Result<String> {
-    Ok(String::from_utf8_lossy(&read(path)?).into_owned())
 }
 
 /// `layout` is that of the entries, for messages.

@@ -2,19 +2,21 @@
 
 use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::scene::SceneData;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
-use super::viewpoint::{Lens, Pose, Viewpoint};
 use crate::percentile::percentiles;
+use crate::up::Up;
 
 const SAMPLE: usize = 8192;
 /// Share of the positions that are nearer to the centre than the radius.
 const INSIDE: f64 = 0.8;
 /// Height of the first view above the horizon, as a share of its distance.
 const ELEVATION: f64 = 0.35;
-/// Cameras whose upward directions add up to less, per camera, have none in common.
-const LEAST_COMMON_UP: f64 = 0.2;
-const UP_STEPS: usize = 200;
+/// Cameras of a ring around a scene, and the size of their pictures, px.
+const RING: usize = 24;
+const RING_PX: [usize; 2] = [800, 600];
+/// Vertical field of view where no camera gives one, rad.
+pub const FIELD_OF_VIEW: f64 = 0.9;
 
 /// Where the primitives of a scene are; a few that are far off do not matter.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,37 +46,31 @@ impl Extent {
         Self { centre, radius: if radius > 0.0 { radius } else { otherwise }, sample }
     }
 
-    /// A view of the whole from somewhat above.
-    pub fn overview(&self, lens: Lens, up: DVec3) -> Viewpoint {
-        let distance = 1.15 * self.radius / (0.5 * lens.vertical_field_of_view).sin();
-        let level = up.any_orthonormal_vector();
-        let eye = self.centre + distance * (level + ELEVATION * up).normalize();
-        let pose = Pose::of(&CameraFromWorld::look_at(eye, self.centre, up));
-        Viewpoint { pose, focus_distance: distance, lens }
+    /// A view of the whole from somewhat above, with pictures of `size` px.
+    pub fn overview(&self, up: DVec3, near: f64, size: [usize; 2]) -> Camera {
+        let distance = 1.15 * self.radius / (0.5 * FIELD_OF_VIEW).sin();
+        let eye = self.centre + distance * (up.any_orthonormal_vector() + ELEVATION * up).normalize();
+        let focal_px = 0.5 * size[1] as f64 / (0.5 * FIELD_OF_VIEW).tan();
+        Camera::pinhole(CameraFromWorld::look_at(eye, self.centre, up), focal_px, size, near)
     }
 
-    /// The view of `camera`, turning about what it mostly sees.
-    pub fn seen_from(&self, camera: &Camera) -> Viewpoint {
+    /// Cameras that look at the whole of `scene` from all sides.
+    pub fn ring(scene: &SceneData) -> Vec<Camera> {
+        let (extent, up) = (Self::of(scene), Up::of(&scene.info).direction());
+        let first = extent.overview(up, scene.info.near, RING_PX);
+        let turned = |number: usize| {
+            let turn = DQuat::from_axis_angle(up, std::f64::consts::TAU * number as f64 / RING as f64);
+            let eye = extent.centre + turn * (first.centre() - extent.centre);
+            Camera { camera_from_world: CameraFromWorld::look_at(eye, extent.centre, up), ..first }
+        };
+        (0..RING).map(turned).collect()
+    }
+
+    /// Depth of what `camera` mostly sees, world units.
+    pub fn depth_before(&self, camera: &Camera) -> f64 {
         let seen = self.sample.iter().filter_map(|&point| camera.pixel(point));
-        let depth = percentiles(seen.map(|(_, depth)| depth).collect(), [0.5]);
-        Viewpoint::of(camera, depth.map_or(self.radius, |[depth]| depth))
+        percentiles(seen.map(|(_, depth)| depth).collect(), [0.5]).map_or(self.radius, |[depth]| depth)
     }
-}
-
-/// Upwards, as most of `cameras` are held: the direction that is most nearly at right angles to what is to the right of
-/// each, since people hold cameras level however far they look up or down. −y if they agree on nothing.
-pub fn mean_up<'a>(cameras: impl Iterator<Item = &'a Camera>) -> DVec3 {
-    let poses: Vec<Pose> = cameras.map(|camera| Pose::of(&camera.camera_from_world)).collect();
-    let count = poses.len() as f64;
-    let sum = -poses.iter().map(Pose::down).sum::<DVec3>();
-    if sum.length() <= LEAST_COMMON_UP * count {
-        return DVec3::NEG_Y;
-    }
-    // power iteration: takes away, again and again, the parts along the directions to the right
-    (0..UP_STEPS).fold(sum.normalize(), |up, _| {
-        let along = poses.iter().map(|pose| pose.right().dot(up) * pose.right()).sum::<DVec3>();
-        (count * up - along).normalize_or(up)
-    })
 }
 
 #[cfg(test)]
@@ -82,8 +78,6 @@ mod tests {
     use glam::dvec3;
 
     use super::*;
-
-    const LENS: Lens = Lens { vertical_field_of_view: 0.9, near: 0.01 };
 
     fn ball() -> Vec<DVec3> {
         let point = |index: i32| {
@@ -108,14 +102,12 @@ mod tests {
     fn the_overview_shows_the_whole() {
         let extent = Extent::of_points(ball(), 7.0);
         for up in [DVec3::Z, DVec3::NEG_Y] {
-            let view = extent.overview(LENS, up);
-            let camera = view.camera([300, 300]);
+            let camera = extent.overview(up, 0.01, [300, 300]);
             let inside = |point: &&DVec3| {
                 camera.project(**point).is_some_and(|(x, y, _)| x > 0.0 && x < 300.0 && y > 0.0 && y < 300.0)
             };
             assert_eq!(ball().iter().filter(inside).count(), 500);
-            assert!((view.focus() - extent.centre).length() < 1e-9);
-            assert!((view.pose.eye - extent.centre).dot(up) > 0.0, "from above");
+            assert!((camera.centre() - extent.centre).dot(up) > 0.0, "from above");
         }
     }
 
@@ -124,32 +116,15 @@ mod tests {
         for points in [Vec::new(), vec![dvec3(1.0, 2.0, 3.0); 4]] {
             let extent = Extent::of_points(points, 7.0);
             assert_eq!(extent.radius, 7.0);
-            assert!(extent.overview(LENS, DVec3::Z).pose.eye.is_finite());
+            assert!(extent.overview(DVec3::Z, 0.01, [8, 8]).centre().is_finite());
         }
     }
 
     #[test]
-    fn a_camera_turns_about_the_depth_of_what_it_sees() {
+    fn the_depth_before_a_camera_is_that_of_what_it_sees() {
         let extent = Extent::of_points(ball(), 7.0);
-        let camera = extent.overview(LENS, DVec3::Z).camera([300, 200]);
-        let view = extent.seen_from(&camera);
-        assert!((view.focus() - extent.centre).length() < 0.2, "{:?}", view.focus());
-        assert!((view.lens.vertical_field_of_view - 0.9).abs() < 1e-9);
-    }
-
-    #[test]
-    fn up_is_what_cameras_agree_on() {
-        let held = |eye: DVec3, up| {
-            let pose = Pose::of(&CameraFromWorld::look_at(eye, DVec3::ZERO, up));
-            Viewpoint { pose, focus_distance: 1.0, lens: LENS }.camera([10, 10])
-        };
-        let from_above = [dvec3(1.0, 0.1, 0.9), dvec3(0.8, 0.6, 1.2), dvec3(0.0, 1.0, 0.7)];
-        let cameras = from_above.map(|eye| held(eye, DVec3::Z));
-        assert!(mean_up(cameras.iter()).dot(DVec3::Z) > 0.9999, "{}", mean_up(cameras.iter()));
-        let alone = mean_up(cameras[..1].iter());
-        assert!(alone.dot(-Pose::of(&cameras[0].camera_from_world).down()) > 0.9999, "{alone}");
-        let odds = [held(DVec3::X, DVec3::Z), held(DVec3::X, DVec3::NEG_Z)];
-        assert_eq!(mean_up(odds.iter()), DVec3::NEG_Y);
-        assert_eq!(mean_up(std::iter::empty()), DVec3::NEG_Y);
+        let camera = extent.overview(DVec3::Z, 0.01, [300, 200]);
+        let distance = (camera.centre() - extent.centre).length();
+        assert!((extent.depth_before(&camera) - distance).abs() < 0.2, "{distance}");
     }
 }
