@@ -5,9 +5,9 @@ use std::sync::Arc;
 use dpges_core::Result;
 use dpges_core::scene::SurfelData;
 use dpges_train::config::Config;
+use dpges_train::dataset::neighbours::{as_points, nearest_to};
 use dpges_train::dataset::{Dataset, Picture, View, builtin_geometry};
 use dpges_train::init::placement::{OrientedPoints, Placement, surfels};
-use dpges_train::refine::neighbours::{as_points, nearest_to};
 use glam::{DVec3, Vec3};
 use rand_chacha::ChaCha8Rng;
 

@@ -28,6 +28,7 @@ mod key;
 mod layout;
 mod load_options;
 pub(crate) mod names;
+pub mod neighbours;
 pub mod source;
 mod split;
 mod tracks;

@@ -57,6 +57,9 @@ pub struct ViewScore {
     pub scores: Scores,
     /// Time to render it.
     pub seconds: f64,
+    /// Share of the picture that surfels cover; absent of scenes without layers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coverage: Option<f64>,
     /// px
     pub width: usize,
     /// px
@@ -79,6 +82,9 @@ pub struct Evaluation {
     /// Likewise.
     #[serde(flatten)]
     pub fitted: Fitted,
+    /// Mean over the views of those shares that surfels cover; absent of scenes without layers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub coverage: Option<f64>,
     pub surfels: usize,
     pub gaussians: usize,
     /// Time to render a view, mean over the views.
@@ -212,6 +218,7 @@ pub fn evaluate_each<E: From<Error>>(
             [score.scores.fitted.psnr_posed, score.scores.fitted.ssim_posed] =
                 posed(renderer, view, &picture, scene.info.extent, device, measures.fitted)?;
         }
+        score.coverage = render.coverage();
         own.push(score);
         visit(index, &render)?;
     }
@@ -223,6 +230,7 @@ pub fn evaluate_each<E: From<Error>>(
         flip,
         perceptual,
         fitted,
+        coverage: views.iter().map(|view| view.coverage).sum::<Option<f64>>().map(|sum| sum / views.len() as f64),
         seconds_per_view: views.iter().map(|view| view.seconds).sum::<f64>() / views.len() as f64,
         surfels: scene.surfels.len(),
         gaussians: scene.gaussians.len(),
@@ -305,7 +313,7 @@ fn score(
     let target = Target { image: picture, mask };
     let (psnr, ssim) = (psnr(image.clone(), target.clone()).min(LARGEST_PSNR), mean_ssim(image, target)?);
     let scores = Scores { psnr, ssim, flip, perceptual, fitted };
-    Ok(ViewScore { name: name.to_owned(), scores, seconds, width, height })
+    Ok(ViewScore { name: name.to_owned(), scores, seconds, coverage: None, width, height })
 }
 
 /// Mean of the `values` of pixels that count; at least one does.

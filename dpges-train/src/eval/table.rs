@@ -9,7 +9,7 @@ use crate::run::targets::duration::Seconds;
 impl EvalReport {
     /// For people. `worst` says what is worst and where its picture is, `notes` what was not measured.
     pub fn rows(&self, worst: &[String], notes: Vec<(&'static str, String)>) -> Vec<(&str, String)> {
-        let Evaluation { views, surfels, gaussians, seconds_per_view, .. } = &self.evaluation;
+        let Evaluation { views, coverage, surfels, gaussians, seconds_per_view, .. } = &self.evaluation;
         let mut scores: Vec<(&str, Scores)> = views.iter().map(|view| (view.name.as_str(), view.scores)).collect();
         scores.push(("mean", self.evaluation.scores()));
         let is_known = |metric: &&Metric| scores.iter().any(|(_, scores)| metric.of(scores).is_some());
@@ -32,6 +32,7 @@ impl EvalReport {
         }));
         rows.extend(notes);
         rows.push(("scene", format!("{surfels} surfels, {gaussians} Gaussians, {:.1} MB", self.bytes as f64 / 1e6)));
+        rows.extend(coverage.map(|share| ("coverage", format!("surfels cover {:.0} % of the pixels", 100.0 * share))));
         if let Some(Floaters { surfels, gaussians }) = self.floaters {
             rows.push(("floaters", format!("{surfels} surfels, {gaussians} Gaussians")));
         }

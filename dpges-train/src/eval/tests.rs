@@ -56,6 +56,21 @@ fn scores_are_those_of_eight_bit_pictures() {
 }
 
 #[test]
+fn coverage_is_the_share_of_pixels_that_surfels_hide() {
+    let views = views(16);
+    assert_eq!(evaluate(&nothing([0.0; 3]), &views, &device()).unwrap().coverage, Some(0.0));
+    let mut scene = nothing([0.0; 3]);
+    scene.surfels = SurfelData { log_scales: vec![3.0; 2], ..SurfelData::neutral(scene.info.colour_model, 1) };
+    let covered = evaluate(&scene, &views, &device()).unwrap();
+    let shares: Vec<f64> = covered.views.iter().map(|view| view.coverage.unwrap()).collect();
+    assert_eq!(covered.coverage.unwrap(), shares.iter().sum::<f64>() / 2.0);
+    assert!(shares.iter().all(|share| (0.1..=1.0).contains(share)), "{shares:?}");
+    let blended = SceneInfo { rendering: Rendering::Ellipsoids, ..scene.info.clone() };
+    let blended = SceneData { info: blended, surfels: SurfelData::default(), ..scene };
+    assert_eq!(evaluate(&blended, &views, &device()).unwrap().coverage, None);
+}
+
+#[test]
 fn what_does_not_count_is_in_no_score() {
     let mut views = views(32);
     let counted: Vec<bool> = (0..32 * 32).map(|pixel| pixel % 32 < 20).collect();

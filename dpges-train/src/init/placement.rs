@@ -6,8 +6,8 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::Config;
+use crate::dataset::neighbours::spacing;
 use crate::refine::add::faint_detail;
-use crate::refine::neighbours::spacing;
 
 /// Scale of a primitive without neighbours, as a fraction of the extent.
 const LONE_SCALE: f64 = 0.01;

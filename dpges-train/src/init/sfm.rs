@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::placement::{OrientedPoints, draw_rows};
 use crate::dataset::PointCloud;
-use crate::refine::neighbours::{Neighbour, nearest};
+use crate::dataset::neighbours::{Neighbour, nearest};
 
 /// Neighbours that determine a normal.
 const NEIGHBOURS: usize = 16;

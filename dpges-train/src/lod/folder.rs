@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use tempfile::TempDir;
 
 use super::{LodError, Primitives};
-use crate::refine::neighbours::as_points;
+use crate::dataset::neighbours::as_points;
 
 /// Between `high` and `highest`: pictures of level 0 are those of the scene to 45 dB and more.
 const QUALITY: Quality =

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::blob::Blob;
-use crate::refine::neighbours::nearest;
+use crate::dataset::neighbours::nearest;
 
 /// Neighbours that a primitive may be merged with.
 const NEIGHBOURS: usize = 6;

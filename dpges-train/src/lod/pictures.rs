@@ -8,9 +8,9 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use glam::DVec3;
 
 use super::tree::quantiles;
+use crate::dataset::neighbours::as_points;
 use crate::dataset::{Picture, View};
 use crate::eval::rendered::Renderer;
-use crate::refine::neighbours::as_points;
 
 /// Cameras that pictures are made from, at most.
 const CAMERAS: usize = 64;

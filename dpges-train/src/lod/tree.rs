@@ -3,7 +3,7 @@
 use dpges_core::scene::SceneData;
 use glam::DVec3;
 
-use crate::refine::neighbours::as_points;
+use crate::dataset::neighbours::as_points;
 
 /// Primitives whose spread decides along which axis a part is halved.
 const SAMPLE: usize = 1024;

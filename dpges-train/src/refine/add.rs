@@ -7,7 +7,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::normal;
-use crate::refine::neighbours::spacing;
+use crate::dataset::neighbours::spacing;
 
 /// Scale of a new Gaussian relative to the root mean square distance to the 3 nearest of its batch (GES).
 const SCALE: f32 = 0.5;

@@ -7,7 +7,7 @@ use dpges_core::scene::lobes::{ABSENT_LOBE, LOBE_LEN, is_absent, lobe_axis, soft
 use dpges_core::scene::{ColourData, ColourModel, SH_C0};
 use rayon::prelude::*;
 
-use crate::refine::neighbours::as_points;
+use crate::dataset::neighbours::as_points;
 
 /// Why a lobe can go.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,7 +2,7 @@
 //! [`interval_limits`](dpges_core::ops::interval_limits::interval_limits).
 
 use crate::config::Margin;
-use crate::refine::neighbours::{as_points, nearest};
+use crate::dataset::neighbours::{as_points, nearest};
 
 /// Number of neighbouring surfels whose margins are used.
 pub const NEIGHBOURS: usize = 16;

@@ -27,7 +27,6 @@ pub mod layer_count;
 pub mod lobes;
 pub mod margins;
 pub mod mcmc_relocation;
-pub mod neighbours;
 pub mod prune;
 pub mod sampling;
 pub mod sharing;

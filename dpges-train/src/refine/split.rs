@@ -7,7 +7,7 @@ use super::GaussianEdit;
 use super::children::children;
 use super::margins::NEIGHBOURS;
 use crate::dataset::block::Bounds;
-use crate::refine::neighbours::{as_points, nearest_to};
+use crate::dataset::neighbours::{as_points, nearest_to};
 
 /// Splits Gaussians whose mean scale exceeds `factor` × the mean of `margins` `[N]` (world units)
 /// over the 16 surfels of `surfel_positions` [N × 3] nearest to them. The parent is

@@ -83,6 +83,7 @@ pub fn row(cell: &Cell) -> Result<Row> {
     }
     row.set("flip_1", report.popping.map(|popping| popping.flip_1));
     row.set("flip_7", report.popping.map(|popping| popping.flip_7));
+    row.set("coverage", report.evaluation.coverage);
     row.set("floaters", report.floaters.map(|found| (found.surfels + found.gaussians) as f64));
     row.set("bytes", Some(report.bytes as f64));
     row.set("training_seconds", Some(MetricsLog::seconds_of_steps(&cell.folder.metrics())?));

@@ -24,7 +24,7 @@ pub struct Measure {
 
 /// All of them, in the order of columns: the quality of pictures, of which the names are those of
 /// [`METRICS`](crate::metrics::METRICS), popping, validation views, then costs.
-pub static MEASURES: [Measure; 29] = [
+pub static MEASURES: [Measure; 30] = [
     quality("psnr", "PSNR, dB", 2),
     quality("ssim", "SSIM", 4),
     quality("flip", "FLIP", 4),
@@ -49,6 +49,7 @@ pub static MEASURES: [Measure; 29] = [
     cost("surfels", "surfels", 1.0, 0, 0),
     cost("gaussians", "Gaussians", 1.0, 0, 0),
     cost("primitives", "primitives", 1.0, 0, 0).on_the_page(),
+    cost("coverage", "covered by surfels, %", 100.0, 0, 2).on_the_page(),
     cost("floaters", "floaters", 1.0, 0, 0),
     cost("bytes", "MB", 1e-6, 2, 0).plotted("bytes", "scene file, MB"),
     cost("gpu_bytes", "GPU, MB", 1e-6, 1, 0).on_the_page(),

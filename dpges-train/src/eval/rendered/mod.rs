@@ -97,6 +97,13 @@ impl Rendered {
             Self::Blended(_) | Self::Summed(_) => None,
         }
     }
+
+    /// Share of the picture that surfels cover, 1 − Π (1 − α) over the layers of a pixel; `None` without layers. Where it is low,
+    /// Gaussians are summed without any order.
+    pub fn coverage(&self) -> Option<f64> {
+        let alpha = self.peeled()?.layers.alpha.clone();
+        Some(1.0 - f64::from(tensor_to_rows(&(-alpha + 1.0).prod_dim(0).mean())[0]))
+    }
 }
 
 impl Renderer {

@@ -50,7 +50,8 @@ pub fn as_points(rows: &[f32]) -> &[[f32; 3]] {
 
 /// Distinct finite positions, each with the rows at this position. A tree over them stays balanced and fast if many
 /// points coincide.
-struct Sites {
+#[derive(Default)]
+pub struct Sites {
     tree: Option<ImmutableKdTree<f32, 3>>,
     positions: Vec<[f32; 3]>,
     /// Rows grouped by site, ascending within it.
@@ -60,7 +61,8 @@ struct Sites {
 }
 
 impl Sites {
-    fn new(positions: &[[f32; 3]]) -> Self {
+    /// Those of `positions` that are finite.
+    pub fn new(positions: &[[f32; 3]]) -> Self {
         let finite = |row: &u32| positions[*row as usize].iter().all(|x| x.is_finite());
         let mut rows: Vec<u32> = (0..positions.len() as u32).filter(finite).collect();
         // Adding zero turns -0 into 0, so that equal points have equal bits.
@@ -82,6 +84,11 @@ impl Sites {
         let tree = (!distinct.is_empty())
             .then(|| ImmutableKdTree::new_from_slice(&distinct).expect("distinct points, fewer than 2^32 of them"));
         Self { tree, positions: distinct, rows, starts }
+    }
+
+    /// Squared distance of `query` to the nearest position, in the unit of the positions squared; infinite if there is none.
+    pub fn squared_distance(&self, query: [f32; 3]) -> f32 {
+        self.nearest(query, 1, None).first().map_or(f32::INFINITY, |&(_, squared)| squared)
     }
 
     fn nearest(&self, query: [f32; 3], count: usize, itself: Option<u32>) -> Vec<Neighbour> {
