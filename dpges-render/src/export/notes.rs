@@ -1,4 +1,4 @@
-//! What readers of splats have in common.
+//! Shared parts of the readers of splats.
 
 use glam::DVec3;
 
@@ -10,7 +10,7 @@ const LARGEST_DEGREE: usize = 4;
 /// Splats farther than so many of their radii from the origin are recentred, as datasets are.
 const FAR: f64 = 100.0;
 
-/// What is to be said of a file besides its splats.
+/// Facts about a file besides its splats.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Notes {
     pub own: bool,

@@ -10,7 +10,7 @@ use dpges_core::scene::ScreenFilter;
 use super::cloud::SplatCloud;
 use super::{APPROXIMATION, Coordinates, SAYS_ALL, all_of, ply_head};
 
-/// The bytes of the file. What is up is only noted in a comment.
+/// The bytes of the file. A comment notes the up axis.
 pub fn to_ply(cloud: &SplatCloud, coordinates: Coordinates) -> Vec<u8> {
     let names = property_names(cloud.degree);
     let mut bytes = header(cloud, coordinates, &names).into_bytes();

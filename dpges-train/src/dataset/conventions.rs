@@ -1,4 +1,4 @@
-//! What files are by their names and first bytes: the conventions of the programs that write them.
+//! File kinds by name and first bytes: the conventions of the programs that write them.
 
 use super::key::{extension, parent, stem};
 

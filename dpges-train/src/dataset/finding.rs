@@ -1,4 +1,4 @@
-//! What is wrong with a dataset, in words.
+//! Faults of a dataset, in words.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -56,7 +56,7 @@ impl fmt::Display for Finding {
     }
 }
 
-/// What a dataset lacks, and what of its files is not used, in the order in which it was found.
+/// Missing parts and unused files of a dataset, in the order in which they were found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Notices(pub Vec<Finding>);
 

@@ -130,7 +130,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<(SplatCloud, Notes), String> {
     Ok((SplatCloud { info, ..cloud.rotated(to_scene) }, notes))
 }
 
-/// What a file holds.
+/// The content of a file.
 struct File {
     header: Header,
     version: u64,

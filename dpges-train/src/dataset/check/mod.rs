@@ -51,7 +51,7 @@ pub struct Report {
     pub views_per_point: Option<f64>,
     /// From most to least important.
     pub findings: Vec<Finding>,
-    /// What lies there, is not used and does no harm.
+    /// Files that are not used and do no harm.
     pub notes: Vec<Finding>,
 }
 

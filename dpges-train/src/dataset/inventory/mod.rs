@@ -1,4 +1,4 @@
-//! What of the files of a dataset is not used: the only place that decides whether that is said.
+//! Unused files of a dataset: the only place that decides whether they are reported.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fs::File;
@@ -23,7 +23,7 @@ const DEEPEST: usize = 2;
 /// Files of a model of COLMAP beside the cameras and images, and its twin in another encoding.
 const OF_A_MODEL: [&str; 5] = ["cameras", "images", "points3d", "rigs", "frames"];
 
-/// What is not used, and what to do.
+/// Kinds of unused files, and the advice for each.
 const NOT_USED: [(Kind, &str, &str); 6] = [
     (Kind::Unused, "photographs without a camera are not used", "find their cameras too, or remove them"),
     (Kind::Unused, "pictures or masks of formats that are not read", "convert them to JPEG or PNG to use them"),
