@@ -10,13 +10,13 @@ use dpges_benches::{devices, machine};
 use dpges_core::ops::adam::{AdamStep, adam_step};
 use dpges_core::ops::blend::{Blend, BlendOptions, Form, blend};
 use dpges_core::ops::composite::{Composite, CompositeOptions, composite};
-use dpges_core::ops::interval_limits::interval_limits;
 use dpges_core::ops::peel::{Layers, PeelOptions, peel};
 use dpges_core::ops::photometric::ssim;
 use dpges_core::ops::splat::splat;
+use dpges_core::ops::visibility::{Visibility, visibility};
 use dpges_core::render::{Render, RenderOptions, render};
 use dpges_core::scene::schema::Columns;
-use dpges_core::scene::{Gaussians, MarginLookup, Surfels};
+use dpges_core::scene::{Gaussians, Peeling, Surfels};
 use dpges_core::testing::scenes::{TestScene, realistic};
 
 const BLENDING: CompositeOptions = CompositeOptions { background: [0.0; 3], detach_transmittance: false };
@@ -94,13 +94,11 @@ impl<'a> Fixture<'a> {
     }
 
     fn peel(&self, of: impl Fn(&Tensor<2>) -> Tensor<2>) -> Layers {
-        let s = &self.surfels;
-        let [p, q, l] = [&s.positions, &s.quaternions, &s.log_scales].map(of);
-        peel(&p, &q, &l, &self.scene.camera, &PeelOptions::default()).unwrap()
+        peel(&self.surfels.map_ref(|_, tensor| of(tensor)), &self.scene.camera, &PeelOptions::default()).unwrap()
     }
 
     fn splat(&self) -> Tensor<4> {
-        let (colours, limits) = (&self.render.gaussian_colours, &self.render.limits);
+        let (colours, limits) = (&self.render.gaussian_colours, &self.render.seen.limits);
         splat(&self.gaussians, colours, limits, &self.scene.camera).unwrap()
     }
 
@@ -109,7 +107,7 @@ impl<'a> Fixture<'a> {
     }
 
     fn splat_leaves(&self) -> Tensor<4> {
-        let limits = self.render.limits.clone().autodiff();
+        let limits = self.render.seen.limits.clone().autodiff();
         let colours = leaf(&self.render.gaussian_colours);
         splat(&self.gaussian_leaves(), &colours, &limits, &self.scene.camera).unwrap()
     }
@@ -130,17 +128,30 @@ impl<'a> Fixture<'a> {
     }
 
     fn composite(&self, sums: &Tensor<4>) -> Composite {
-        composite(&self.render.layers, &self.render.surfel_colours, sums, &BLENDING).unwrap()
+        let Render { layers, seen, surfel_colours, .. } = &self.render;
+        composite(layers, seen, surfel_colours, sums, &BLENDING).unwrap()
     }
 
-    /// Image, surfel image and transmittance, which the losses use, weighted so that all have gradients.
+    fn layer_leaves(&self) -> Layers {
+        let Layers { ids, alpha, depth } = &self.render.layers;
+        Layers { ids: ids.clone().autodiff(), alpha: leaf(alpha), depth: leaf(depth) }
+    }
+
+    /// Both outputs that carry gradients.
+    fn visibility_loss(&self) -> Tensor<1> {
+        let margins = self.surfels.margins.clone().autodiff();
+        let seen = visibility(&self.layer_leaves(), &margins, Peeling::Continuous).unwrap();
+        seen.weights.sum() + seen.transmittance.sum()
+    }
+
+    /// Image and surfel image, which the losses use.
     fn composite_loss(&self, sums: &Tensor<4>) -> Tensor<1> {
-        let mut layers = self.render.layers.clone();
-        layers.alpha = leaf(&layers.alpha);
-        layers.depth = layers.depth.autodiff();
-        layers.ids = layers.ids.autodiff();
-        let out = composite(&layers, &leaf(&self.render.surfel_colours), &leaf(sums), &BLENDING).unwrap();
-        out.image.sum() + out.surfel_image.sum() + out.transmittance.sum()
+        let Visibility { weights, transmittance, limits } = &self.render.seen;
+        let (weights, transmittance, limits) = (leaf(weights), leaf(transmittance), limits.clone().autodiff());
+        let seen = Visibility { weights, transmittance, limits };
+        let colours = leaf(&self.render.surfel_colours);
+        let out = composite(&self.layer_leaves(), &seen, &colours, &leaf(sums), &BLENDING).unwrap();
+        out.image.sum() + out.surfel_image.sum()
     }
 
     /// Adam for positions, rotations, scales and colours of all Gaussians.
@@ -183,13 +194,14 @@ fn main() {
         let (image, target) = (&view.render.composite.image, &view.render.composite.surfel_image);
         let margins = &view.surfels.margins;
         view.forward("peel", || view.peel(Tensor::clone));
-        view.forward("limits", || interval_limits(&view.render.layers, margins, MarginLookup::Shifted).unwrap());
+        view.forward("visibility", || visibility(&view.render.layers, margins, Peeling::Continuous).unwrap());
         view.forward("splat", || view.splat());
         view.forward("composite", || view.composite(&sums));
         view.forward("ssim", || ssim(image, target).unwrap());
         let options = RenderOptions::default();
         view.forward("render", || render(&view.surfels, &view.gaussians, &scene.camera, &options).unwrap());
         view.backward("peel", || view.peel(leaf).alpha.sum());
+        view.backward("visibility", || view.visibility_loss());
         view.backward("splat", || view.splat_leaves().sum());
         view.backward("composite", || view.composite_loss(&sums));
         view.backward("ssim", || ssim(&leaf(image), &target.clone().autodiff()).unwrap());

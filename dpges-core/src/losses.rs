@@ -75,16 +75,14 @@ fn of_surfels(render: &Render, target: &Target, weights: &LossWeights) -> Result
         transmittance: weights.transmittance,
         pixels_per_counted: target.pixels_per_counted(),
     };
-    let (composite, ids) = (&render.composite, &render.layers.ids);
-    surfel_loss(&composite.surfel_image, &composite.transmittance, ids, &target.image, target.ignored(), &weights)
+    let (composite, seen, ids) = (&render.composite, &render.seen, &render.layers.ids);
+    surfel_loss(&composite.surfel_image, &seen.transmittance, ids, &target.image, target.ignored(), &weights)
 }
 
 /// Mean over all pixels of the share of what is behind everything, background or environment, that surfels and Gaussians
 /// hide, where `mask` [1, H, W] is 1; elsewhere it is 0.
 pub fn hidden(render: &Render, mask: Tensor<3>) -> Tensor<1> {
-    let [planes, height, width] = render.composite.transmittance.dims();
-    let last = render.composite.transmittance.clone().slice([planes - 1..planes, 0..height, 0..width]);
-    let shown = last / (render.composite.gaussian_weight.clone() + 1.0);
+    let shown = render.seen.behind_all() / (render.composite.gaussian_weight.clone() + 1.0);
     ((shown * -1.0 + 1.0) * mask).mean()
 }
 

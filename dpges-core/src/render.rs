@@ -13,19 +13,17 @@ use crate::error::{Error, Result};
 use crate::ops::colour::colour;
 use crate::ops::composite::{Composite, CompositeOptions, composite};
 use crate::ops::finite::{FiniteChecks, check_finite};
-use crate::ops::interval_limits::interval_limits;
 use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::splat::splat;
+use crate::ops::visibility::{Visibility, visibility};
 use crate::ranks::{Alone, Ranks};
 use crate::scene::schema::Columns;
-use crate::scene::{Gaussians, MarginLookup, SceneInfo, Surfels};
+use crate::scene::{Gaussians, SceneInfo, Surfels};
 use pose::PoseProbe;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RenderOptions {
     pub peel: PeelOptions,
-    /// Where the depth intervals of the transmittance end.
-    pub margin_lookup: MarginLookup,
     /// C_b, display-referred.
     pub background: [f64; 3],
     /// Stop the gradient from the Gaussians to the surfels (ablation).
@@ -34,19 +32,17 @@ pub struct RenderOptions {
 
 impl From<&SceneInfo> for RenderOptions {
     fn from(info: &SceneInfo) -> Self {
-        let &SceneInfo { margin_lookup, background, .. } = info;
-        Self { peel: PeelOptions::from(info), margin_lookup, background, detach_transmittance: false }
+        Self { peel: PeelOptions::from(info), background: info.background, detach_transmittance: false }
     }
 }
 
 /// A rendered view. Images are [C, H, W] in display-referred values and not clamped.
 #[derive(Clone, Debug)]
 pub struct Render {
-    /// Image, surfel image, transmittance, Gaussian colour and weight.
+    /// Image, surfel image, Gaussian colour and weight.
     pub composite: Composite,
     pub layers: Layers,
-    /// [K, H, W] upper limits of the depth intervals.
-    pub limits: Tensor<3>,
+    pub seen: Visibility,
     /// [N, 3] colours of the surfels from this camera.
     pub surfel_colours: Tensor<2>,
     /// [M, 3] colours of the Gaussians from this camera.
@@ -58,7 +54,8 @@ impl Render {
     /// [`Composite::in_front_of`].
     #[must_use]
     pub fn in_front_of(self, environment: Tensor<3>) -> Self {
-        Self { composite: self.composite.in_front_of(environment), ..self }
+        let open = self.seen.behind_all();
+        Self { composite: self.composite.in_front_of(environment, open), ..self }
     }
 }
 
@@ -183,11 +180,11 @@ pub fn render_on_ranks(
     let gaussian_colours = colour(&gaussians.colour, &gaussians.positions, centre)?;
     let moved = probe.map(|probe| (probe.surfels(surfels), probe.gaussians(gaussians)));
     let (surfels, gaussians) = moved.as_ref().map_or((surfels, gaussians), |(surfels, gaussians)| (surfels, gaussians));
-    let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, &options.peel)?;
-    let limits = interval_limits(&layers, &surfels.margins, options.margin_lookup)?;
-    let sums = ranks.joined(splat(gaussians, &gaussian_colours, &limits, camera)?);
+    let layers = peel(surfels, camera, &options.peel)?;
+    let seen = visibility(&layers, &surfels.margins, options.peel.peeling)?;
+    let sums = ranks.joined(splat(gaussians, &gaussian_colours, &seen.limits, camera)?);
     let blending =
         CompositeOptions { background: options.background, detach_transmittance: options.detach_transmittance };
-    let composite = composite(&layers, &surfel_colours, &sums, &blending)?;
-    Ok(Render { composite, layers, limits, surfel_colours, gaussian_colours })
+    let composite = composite(&layers, &seen, &surfel_colours, &sums, &blending)?;
+    Ok(Render { composite, layers, seen, surfel_colours, gaussian_colours })
 }

@@ -37,13 +37,13 @@ impl Groups {
             group(&passes.peel.layout, &views.into_iter().chain(of_surfels).collect::<Vec<_>>())
         };
         let peel = |k| peel_after(previous(k), &targets.cores);
-        let mut resolve = vec![&surfels.places, &per_primitive.colours];
+        let mut resolve = vec![&surfels.places, &per_primitive.colours, &targets.cores];
         resolve.extend(layers.iter().map(|layer| &layer.nearest));
         resolve.extend(layers.iter().map(|layer| &layer.opacity));
         let mut present = vec![&targets.surfels, &targets.sums, &layers[0].opacity];
         present.extend(layers.iter().map(|layer| &layer.nearest));
-        present.push(&surfels.forms);
-        let splat = [&per_primitive.firsts, &per_primitive.seconds, &targets.intervals, &targets.thirds];
+        present.extend([&targets.cores, &surfels.forms]);
+        let splat = [&per_primitive.firsts, &per_primitive.seconds, &targets.intervals, &targets.throughs];
         Self {
             colours: group(&passes.colours.layout, &[&coloured.places, &coloured.colours]),
             project: group(&passes.project.layout, &[&gaussians.places, &gaussians.forms, &gaussians.colours]),

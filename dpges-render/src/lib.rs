@@ -18,9 +18,9 @@
 //!
 //! K passes over all surfels find the layers of every pixel: the depth test keeps the nearest fragment, and a comparison
 //! with the previous layer rejects what was found before, by (depth, index), so that neither of two surfels that meet is
-//! lost. With a backstop ([`RenderOptions::backstop`]), one more pass comes first: it finds the nearest opaque fragment of
-//! every pixel, the others end at its depth by the depth test, and the last of them draws only where there is none. One
-//! pass over the pixels makes the surfels' picture and packs what Gaussians need to know of it. Gaussians are
+//! lost. With continuous peeling ([`RenderOptions::peeling`]), the first finds the nearest opaque fragment of every pixel, and
+//! the depth test ends the others where their order to it becomes certain. One pass over the pixels makes the surfels' picture
+//! and packs what Gaussians need to know of it. Gaussians are
 //! then added in any order. Nothing is sorted, and colours and ellipses are computed once per primitive, by a pass in
 //! which a fragment is a primitive. Scenes of blended Gaussians or discs are sorted by depth on the host for each frame.
 //!

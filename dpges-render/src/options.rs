@@ -3,10 +3,10 @@
 use std::fmt;
 
 use dpges_core::Error;
-use dpges_core::scene::{Footprint, SceneInfo};
+use dpges_core::scene::{Footprint, Peeling, SceneInfo};
 
 /// Largest number of layers that are peeled.
-pub const MAX_LAYERS: usize = 4;
+pub const MAX_LAYERS: usize = 5;
 
 /// Bits per channel of the sums of Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,9 +85,7 @@ pub struct RenderOptions {
     /// w: opacity of a surfel is min(1, w G).
     pub modulation: f64,
     pub footprint: Footprint,
-    /// Whether the nearest opaque fragment of a pixel is always a layer; of the rims before it, the K − 1 nearest are the
-    /// others.
-    pub backstop: bool,
+    pub peeling: Peeling,
     /// C_b, display-referred.
     pub background: [f64; 3],
     pub display: Display,
@@ -102,7 +100,7 @@ impl From<&SceneInfo> for RenderOptions {
             layer_count: info.layer_count.min(MAX_LAYERS),
             modulation: info.modulation,
             footprint: info.footprint,
-            backstop: info.backstop,
+            peeling: info.peeling,
             background: info.background,
             display: Display::Image,
             smallest_px: 0.0,
@@ -111,6 +109,11 @@ impl From<&SceneInfo> for RenderOptions {
 }
 
 impl RenderOptions {
+    /// Layers that are peeled one by one; a core has a pass of its own.
+    pub(crate) fn peels(&self) -> usize {
+        self.layer_count - usize::from(self.peeling.is_continuous())
+    }
+
     /// # Errors
     /// [`Error::Option`] for a number outside its range.
     pub fn validate(&self) -> Result<(), Error> {
@@ -118,19 +121,11 @@ impl RenderOptions {
             if ok { Ok(()) } else { Err(Error::Option { option, expected: expected.to_owned(), found }) }
         };
         let (layers, w, smallest) = (self.layer_count, self.modulation, self.smallest_px);
-        check("layer_count", (1..=MAX_LAYERS).contains(&layers), layers.to_string(), "1 to 4")?;
+        check("layer_count", (1..=MAX_LAYERS).contains(&layers), layers.to_string(), "1 to 5")?;
         check("modulation", w.is_finite() && w > 0.0, w.to_string(), "a positive, finite number")?;
         let background = format!("{:?}", self.background);
         check("background", self.background.iter().all(|c| c.is_finite()), background, "finite numbers")?;
         check("smallest_px", smallest.is_finite() && smallest >= 0.0, smallest.to_string(), "a number of at least 0")
-    }
-}
-
-/// Squared radius in σ at which a surfel ends; negative if no part of it is visible.
-pub(crate) fn squared_radius(footprint: Footprint, modulation: f64) -> f64 {
-    match footprint {
-        Footprint::Kernel => 2.0 * 255f64.ln(),
-        Footprint::Opacity => 2.0 * (255.0 * modulation).ln(),
     }
 }
 
@@ -140,21 +135,15 @@ mod tests {
 
     #[test]
     fn options_of_a_scene_are_valid_and_wrong_ones_are_named() {
-        let good = RenderOptions::from(&SceneInfo { layer_count: 8, backstop: true, ..SceneInfo::default() });
-        assert_eq!((good.layer_count, good.backstop), (MAX_LAYERS, true));
+        let good =
+            RenderOptions::from(&SceneInfo { layer_count: 8, peeling: Peeling::Literal, ..SceneInfo::default() });
+        assert_eq!((good.layer_count, good.peeling), (MAX_LAYERS, Peeling::Literal));
         good.validate().unwrap();
         let name = |options: RenderOptions| options.validate().unwrap_err().to_string();
         assert!(name(RenderOptions { layer_count: 0, ..good }).contains("`layer_count` is 0"));
-        assert!(name(RenderOptions { layer_count: 5, ..good }).contains("`layer_count` is 5"));
+        assert!(name(RenderOptions { layer_count: 6, ..good }).contains("`layer_count` is 6"));
         assert!(name(RenderOptions { modulation: f64::NAN, ..good }).contains("`modulation`"));
         assert!(name(RenderOptions { smallest_px: -1.0, ..good }).contains("`smallest_px`"));
         assert!(name(RenderOptions { background: [0.0, f64::INFINITY, 0.0], ..good }).contains("`background`"));
-    }
-
-    #[test]
-    fn a_surfel_ends_at_3_33_or_4_23_sigma() {
-        assert!((squared_radius(Footprint::Kernel, 30.0).sqrt() - 3.33).abs() < 0.005);
-        assert!((squared_radius(Footprint::Opacity, 30.0).sqrt() - 4.23).abs() < 0.005);
-        assert!(squared_radius(Footprint::Opacity, 0.001) < 0.0);
     }
 }

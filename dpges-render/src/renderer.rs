@@ -7,7 +7,7 @@ use std::ops::Range;
 use std::slice::from_ref;
 
 use dpges_core::camera::Camera;
-use dpges_core::scene::{BlendOrder, Rendering, SceneData, SceneInfo};
+use dpges_core::scene::{BlendOrder, Peeling, Rendering, SceneData, SceneInfo};
 use wgpu::util::DeviceExt;
 
 use crate::error::{RenderError, Result};
@@ -37,8 +37,8 @@ pub struct Renderer {
     scene: Option<Uploaded>,
     targets: Option<Targets>,
     groups: Option<Groups>,
-    /// Near plane and layers of the last frame.
-    last: Option<(f64, usize)>,
+    /// Near plane of the last frame, and how its layers were peeled; `None` of a scene without.
+    last: Option<(f64, Peeling)>,
 }
 
 #[derive(Debug)]
@@ -240,7 +240,7 @@ impl Renderer {
         }
         self.present(encoder, &frame, target, camera, options.display);
         self.profile.resolve(encoder);
-        self.last = Some((camera.near, if rendering == Rendering::Peeled { options.layer_count } else { 0 }));
+        self.last = (rendering == Rendering::Peeled).then_some((camera.near, options.peeling));
         Ok(())
     }
 
@@ -298,40 +298,55 @@ impl Renderer {
     /// none. Waits for the GPU, which browsers do not allow.
     pub fn depth_at(&self, x_px: u32, y_px: u32) -> Option<f64> {
         let targets = self.targets.as_ref()?;
-        let (near, layers) = self.last?;
-        if layers == 0 || x_px >= targets.size.width || y_px >= targets.size.height {
+        let (near, peeling) = self.last?;
+        if x_px >= targets.size.width || y_px >= targets.size.height {
             return None;
         }
         let origin = wgpu::Origin3d { x: x_px, y: y_px, z: 0 };
-        let layer = targets.layers[0].nearest.texture();
-        let bytes = texels(&self.device, &self.queue, layer, origin, size(1, 1))?;
-        let words: &[u32] = bytemuck::cast_slice(&bytes);
-        let depth = near / f64::from(f32::from_bits(words[0]));
-        (words[1] != u32::MAX && depth.is_finite()).then_some(depth)
+        // cores are not among the layers that were peeled
+        let cores = peeling.is_continuous().then_some(&targets.cores);
+        let depths = [Some(&targets.layers[0].nearest), cores].into_iter().flatten().filter_map(|layer| {
+            let bytes = texels(&self.device, &self.queue, layer.texture(), origin, size(1, 1))?;
+            let words: &[u32] = bytemuck::cast_slice(&bytes);
+            let depth = near / f64::from(f32::from_bits(words[0]));
+            (words[1] != u32::MAX && depth.is_finite()).then_some(depth)
+        });
+        depths.reduce(f64::min)
     }
 
     /// Depths [height, width] of the last frame: of the first surfel behind which no more than half of the light passes, world
     /// units; 0 where there is none. `None` of scenes without layers. Waits as [`depth_at`](Self::depth_at) does.
     pub fn median_depths(&self) -> Option<Vec<f32>> {
         let targets = self.targets.as_ref()?;
-        let (near, layers) = self.last.filter(|(_, layers)| *layers > 0)?;
+        let (near, peeling) = self.last?;
         let read = |view: &wgpu::TextureView| {
             texels(&self.device, &self.queue, view.texture(), wgpu::Origin3d::ZERO, targets.size)
         };
+        // 1 / depth of what is nearest there; 0 where nothing is
+        let inverses = |view: &wgpu::TextureView| -> Option<Vec<f32>> {
+            let texels = read(view)?;
+            let of_texel = |texel: &[u8; 8]| match texel {
+                [.., u8::MAX, u8::MAX, u8::MAX, u8::MAX] => 0.0,
+                &[a, b, c, d, ..] => f32::from_le_bytes([a, b, c, d]),
+            };
+            Some(texels.as_chunks::<8>().0.iter().map(of_texel).collect())
+        };
         let area = (targets.size.width * targets.size.height) as usize;
+        // cores are not among the layers that were peeled, some of which lie behind them
+        let cores = if peeling.is_continuous() { inverses(&targets.cores)? } else { vec![0.0; area] };
         let (mut depths, mut passing) = (vec![0.0; area], vec![1.0; area]);
-        for layer in &targets.layers[..layers] {
-            let (nearest, opacity) = (read(&layer.nearest)?, read(&layer.opacity)?);
-            let texels = nearest.as_chunks::<8>().0.iter().zip(opacity.as_chunks::<2>().0);
-            for ((nearest, opacity), (depth, passing)) in texels.zip(depths.iter_mut().zip(&mut passing)) {
-                let [inverse, index] = [0, 4].map(|at| [0, 1, 2, 3].map(|byte| nearest[at + byte]));
-                if *passing > 0.5 && index != [u8::MAX; 4] {
-                    *passing *= 1.0 - half::f16::from_le_bytes(*opacity).to_f32();
-                    let here = near as f32 / f32::from_le_bytes(inverse);
-                    *depth = if *passing <= 0.5 { here } else { 0.0 };
+        for layer in &targets.layers {
+            let (nearest, opacity) = (inverses(&layer.nearest)?, read(&layer.opacity)?);
+            for (pixel, (&inverse, opacity)) in nearest.iter().zip(opacity.as_chunks::<2>().0).enumerate() {
+                if passing[pixel] > 0.5 && inverse > cores[pixel] {
+                    passing[pixel] *= 1.0 - half::f16::from_le_bytes(*opacity).to_f32();
+                    depths[pixel] = if passing[pixel] <= 0.5 { near as f32 / inverse } else { 0.0 };
                 }
             }
         }
+        let through =
+            depths.iter_mut().zip(passing).zip(cores).filter(|((_, passing), core)| *passing > 0.5 && *core > 0.0);
+        through.for_each(|((depth, _), core)| *depth = near as f32 / core);
         Some(depths)
     }
 
@@ -374,7 +389,7 @@ impl Renderer {
     fn peeled(&self, encoder: &mut wgpu::CommandEncoder, frame: &wgpu::BindGroup, options: &RenderOptions) {
         let (scene, targets, groups) = self.prepared();
         let (passes, per_primitive) = (&self.passes, &scene.per_primitive);
-        let visible = crate::options::squared_radius(options.footprint, options.modulation) > 0.0;
+        let visible = options.footprint.squared_radius(options.modulation) > 0.0;
         let surfels = if visible { &scene.drawn[0][..] } else { &[] };
         let gaussians = &scene.drawn[1][..];
         let whole = |pass: &mut wgpu::RenderPass, grid: Grid, drawn: &[Range<u32>]| {
@@ -398,15 +413,17 @@ impl Renderer {
                 draw(pass, &passes.project.pipeline, [frame, &groups.project], 3, ONCE);
             });
         }
-        if options.backstop && length(surfels) > 0 {
+        if options.peeling.is_continuous() {
             let (attachments, depth) = (&[(&targets.cores, nothing)], Some((&targets.depth, true)));
             self.pass(encoder, "peel", attachments, depth, |pass| {
-                draw(pass, &passes.peel.core, [frame, &groups.core], 4, surfels);
+                if length(surfels) > 0 {
+                    draw(pass, &passes.peel.core, [frame, &groups.core], 4, surfels);
+                }
             });
         }
         for (k, layer) in targets.layers.iter().enumerate() {
             // layers that are not asked for say that nothing is there
-            let asked = k < options.layer_count;
+            let asked = k < options.peels();
             let attachments = &[(&layer.nearest, nothing), (&layer.opacity, zero)];
             let depth = Some((&targets.depth, true));
             self.pass(encoder, "peel", attachments, depth, |pass| {
@@ -420,7 +437,7 @@ impl Renderer {
                 }
             });
         }
-        let attachments = &[(&targets.surfels, zero), (&targets.intervals, zero), (&targets.thirds, zero)];
+        let attachments = &[(&targets.surfels, zero), (&targets.intervals, zero), (&targets.throughs, zero)];
         self.pass(encoder, "resolve", attachments, Some((&targets.depth, true)), |pass| {
             draw(pass, &passes.resolve.pipeline, [frame, &groups.resolve], 3, ONCE);
         });
@@ -431,7 +448,7 @@ impl Renderer {
         }
         let sums = if counting { wgpu::LoadOp::Load } else { zero };
         self.pass(encoder, "splat", &[(&targets.sums, sums)], Some((&targets.depth, false)), |pass| {
-            let pipeline = if counting { &passes.splat.count } else { passes.splat.of(options.layer_count) };
+            let pipeline = if counting { &passes.splat.count } else { passes.splat.of(options) };
             draw(pass, pipeline, [frame, &groups.splat], 4, gaussians);
         });
     }

@@ -4,7 +4,7 @@ use wgpu::TextureUsages as Usage;
 
 use crate::options::MAX_LAYERS;
 use crate::passes::{
-    COLOUR_FORMAT, DEPTH_FORMAT, INTERVAL_FORMAT, LAYER_FORMAT, OPACITY_FORMAT, RECORD_FORMAT, THIRD_FORMAT,
+    COLOUR_FORMAT, DEPTH_FORMAT, INTERVAL_FORMAT, LAYER_FORMAT, OPACITY_FORMAT, RECORD_FORMAT, THROUGH_FORMAT,
 };
 use crate::scene::{Grid, SceneTextures};
 use crate::texture::{size, texture};
@@ -24,7 +24,7 @@ pub(crate) struct Targets {
     pub depth: wgpu::TextureView,
     pub surfels: wgpu::TextureView,
     pub intervals: wgpu::TextureView,
-    pub thirds: wgpu::TextureView,
+    pub throughs: wgpu::TextureView,
     pub sums: wgpu::TextureView,
 }
 
@@ -50,11 +50,11 @@ impl Targets {
         Self {
             size,
             layers: (0..MAX_LAYERS).map(layer).collect(),
-            cores: full(LAYER_FORMAT),
+            cores: texture(device, size, LAYER_FORMAT, DRAWN_AND_READ | Usage::COPY_SRC),
             depth: texture(device, size, DEPTH_FORMAT, Usage::RENDER_ATTACHMENT),
             surfels: full(COLOUR_FORMAT),
             intervals: full(INTERVAL_FORMAT),
-            thirds: full(THIRD_FORMAT),
+            throughs: full(THROUGH_FORMAT),
             sums: full(sums),
         }
     }

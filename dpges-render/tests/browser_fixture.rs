@@ -7,7 +7,7 @@ use std::path::Path;
 
 use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::scene::lod::{Cell, INDEX, Index, Part};
-use dpges_core::scene::{EnvironmentData, GaussianData, Quality, Rendering, SceneData, SceneInfo, SurfelData};
+use dpges_core::scene::{EnvironmentData, GaussianData, Peeling, Quality, Rendering, SceneData, SceneInfo, SurfelData};
 use dpges_render::export::html::{Page, find_page, write_html};
 use dpges_render::{Display, Headless, RenderOptions, Rgb8Image};
 use image::ExtendedColorType::Rgb8;
@@ -159,9 +159,9 @@ fn export_a_page_and_pictures_of_its_scene() {
     let mut references = Vec::new();
     let mut refer = |name: &str, file: &str, scene: &SceneData, camera: &Camera, options: RenderOptions| {
         write_ppm(&folder.join(format!("{name}.ppm")), &picture(scene, camera, &options));
-        let RenderOptions { display, layer_count, modulation, backstop, background, .. } = options;
+        let RenderOptions { display, layer_count, modulation, peeling, background, .. } = options;
         let options = json!({
-            "display": display, "layer_count": layer_count, "modulation": modulation, "backstop": backstop,
+            "display": display, "layer_count": layer_count, "modulation": modulation, "peeling": peeling,
             "background": background,
         });
         references.push(json!({ "name": name, "scene": file, "camera": page_camera(camera), "options": options }));
@@ -173,8 +173,8 @@ fn export_a_page_and_pictures_of_its_scene() {
     for (name, options) in [
         ("image", trained),
         ("one_hard_layer", hard),
-        ("four_layers", RenderOptions { layer_count: 4, ..trained }),
-        ("backstop", RenderOptions { layer_count: 2, modulation: 3.0, backstop: true, ..trained }),
+        ("five_layers", RenderOptions { layer_count: 5, modulation: 3.0, ..trained }),
+        ("nearest", RenderOptions { layer_count: 4, modulation: 3.0, peeling: Peeling::Nearest, ..trained }),
         ("surfels", shown(Display::Surfels)),
         ("gaussians", shown(Display::Gaussians)),
         ("transmittance", shown(Display::Transmittance)),

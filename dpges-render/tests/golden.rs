@@ -77,7 +77,7 @@ impl Golden {
                 modulation: number("modulation"),
                 layer_count: number("layer_count") as usize,
                 footprint: if metadata["footprint"] == "opacity" { Footprint::Opacity } else { Footprint::Kernel },
-                backstop: metadata.get("backstop").is_some_and(|backstop| backstop == "true"),
+                peeling: metadata["peeling"].parse().unwrap(),
                 background: numbers(&file, "background").try_into().unwrap(),
                 ..SceneInfo::default()
             },
@@ -97,11 +97,15 @@ fn can(headless: &Headless, precision: Precision) -> bool {
     precision == Precision::Half || Renderer::best_precision(headless.device()) == precision
 }
 
-/// dB
-fn psnr(found: &[f32], expected: &[f32]) -> f64 {
+/// dB over the pixels of [3, H, W] but the `left_out` worst.
+fn psnr(found: &[f32], expected: &[f32], left_out: usize) -> f64 {
     assert_eq!(found.len(), expected.len());
-    let squares = found.iter().zip(expected).map(|(a, b)| f64::from(a - b).powi(2));
-    -10.0 * (squares.sum::<f64>() / found.len() as f64).log10()
+    let area = found.len() / 3;
+    let of_value = |at: usize| f64::from(found[at] - expected[at]).powi(2);
+    let mut errors: Vec<f64> = (0..area).map(|pixel| (0..3).map(|c| of_value(c * area + pixel)).sum()).collect();
+    errors.sort_by(f64::total_cmp);
+    errors.truncate(area - left_out);
+    -10.0 * (errors.iter().sum::<f64>() / (3 * errors.len()) as f64).log10()
 }
 
 /// The permutation of `count` rows that a linear congruence makes.
@@ -128,6 +132,8 @@ fn agrees(headless: &Headless, path: &Path) -> Result<(), Failed> {
     let golden = Golden::load(path);
     let options = RenderOptions::from(&golden.scene.info);
     assert!(golden.scene.info.layer_count <= MAX_LAYERS);
+    // in strict order a pixel on an edge may be on its other side in f32
+    let on_edges = if options.peeling.is_continuous() { 0 } else { golden.camera.width * golden.camera.height / 1000 };
     let name = path.file_stem().unwrap().to_string_lossy();
     let is_far_on_gl = headless.backend() == wgpu::Backend::Gl && name == "large_world";
     for (precision, depths, least) in LEAST_DB.into_iter().filter(|&(precision, _, _)| can(headless, precision)) {
@@ -136,14 +142,14 @@ fn agrees(headless: &Headless, path: &Path) -> Result<(), Failed> {
         let mut renderer = headless.float_renderer(precision, depths)?;
         renderer.upload(&golden.scene)?;
         let found = headless.planes(&mut renderer, &golden.camera, &options)?;
-        let db = psnr(&found, &golden.image);
+        let db = psnr(&found, &golden.image, on_edges);
         println!("{name}, {precision:?}, {depths:?}: {db:.1} dB");
         if db < least && !(is_rasterised && has_coarse_corners(headless)) {
             return Err(format!("{precision:?}, {depths:?}: {db:.2} dB, expected at least {least}").into());
         }
         let beside = Camera { cx: golden.camera.cx + 1.0, ..golden.camera };
         let wrong = headless.planes(&mut renderer, &beside, &options)?;
-        if psnr(&wrong, &golden.image) >= least {
+        if psnr(&wrong, &golden.image, on_edges) >= least {
             return Err("a picture that is shifted by a pixel is not told from the right one".into());
         }
     }
@@ -173,28 +179,27 @@ fn order_does_not_matter(headless: &Headless) -> Result<(), Failed> {
     Ok(())
 }
 
-/// A rim over a core in the same plane, as far away: it is before the core only if its index is smaller.
-fn a_rim_at_the_depth_of_the_core_is_before_it_by_index(headless: &Headless) -> Result<(), Failed> {
-    let info = SceneInfo { layer_count: 2, modulation: 30.0, backstop: true, ..SceneInfo::default() };
+/// A rim over two cores in the same plane, as far away: each hides half of the others, whatever their indices.
+fn surfels_at_one_depth_mix(headless: &Headless) -> Result<(), Failed> {
+    let info = SceneInfo { layer_count: 3, modulation: 30.0, ..SceneInfo::default() };
     let mut surfels = SurfelData::neutral(info.colour_model, 3);
     let gaussians = GaussianData::neutral(info.colour_model, 0);
-    let (sigma, through): (f64, f64) = (0.3, 1.0 - 30.0 * (-4.5f64).exp());
+    // opacity at 3 σ
+    let (sigma, alpha) = (0.3f64, (info.footprint.squared_radius(30.0) - 9.0) * info.footprint.rim_slope(30.0));
+    surfels.margins.fill(0.1);
     surfels.positions =
         [[3.0 * sigma, 0.0, 0.0], [0.0; 3], [0.0; 3]].as_flattened().iter().map(|&x| x as f32).collect();
     surfels.log_scales.fill(sigma.ln() as f32);
     surfels.colour.base = vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
     let camera_from_world = CameraFromWorld::look_at(DVec3::Z * 4.0, DVec3::ZERO, DVec3::Y);
     let camera = Camera::pinhole(camera_from_world, 10.0, [9, 9], 0.01);
+    let [of_rim, of_core] = [0.25 * alpha, 0.5 * (1.0 - 0.5 * alpha)];
+    let shares = [of_rim, of_core, of_core].map(|weight| weight / (of_rim + 2.0 * of_core));
     let [rim, green, blue] = [0, 1, 2];
-    let expected = [
-        ([rim, green, blue], [1.0 - through, through, 0.0]),
-        ([rim, blue, green], [1.0 - through, 0.0, through]),
-        ([green, rim, blue], [0.0, 1.0, 0.0]),
-    ];
     // a colour is 0.5 + Y0 base
     let y0 = 0.282_094_791_773_878_14;
     let mut renderer = headless.float_renderer(Precision::Half, Renderer::best_depths(headless.device()))?;
-    for (order, shares) in expected {
+    for order in [[rim, green, blue], [blue, rim, green], [green, blue, rim]] {
         let scene = SceneData {
             info: info.clone(),
             surfels: surfels.select(&order),
@@ -264,7 +269,7 @@ fn main() -> ExitCode {
         .collect();
     let others: [(&str, Check); 4] = [
         ("order_does_not_matter", order_does_not_matter),
-        ("a_rim_at_the_depth_of_the_core_is_before_it_by_index", a_rim_at_the_depth_of_the_core_is_before_it_by_index),
+        ("surfels_at_one_depth_mix", surfels_at_one_depth_mix),
         ("displays_differ", displays_differ),
         ("a_lens_is_refused_by_name", a_lens_is_refused_by_name),
     ];

@@ -7,13 +7,13 @@ Each case becomes FOLDER/NAME.safetensors. Its tensors, float64 but for the inte
   camera.rotation [3,3], camera.translation [3], camera.intrinsics (fx, fy, cx, cy)
   background [3], target [H,W,3], upstream [H,W,3]
   environment [16,3]       coefficients, in the case that has one
-  out.*                    image, surfel_image, transmittance, gaussian_colour, gaussian_weight,
+  out.*                    image, surfel_image, weights, transmittance, gaussian_colour, gaussian_weight,
                            surfel_depth, surfel_normal, layers.{ids, alpha, depth}
   loss.*                   rgb, ssim, surfel, scale, transmittance, total
   grad_image.*             d sum(upstream * image) / d input
   grad_detached.*          the same without the gradient through the transmittance
   grad_total.*             d total loss / d input
-Its metadata: width, height, near, layer_count, modulation, footprint, and backstop where there is one.
+Its metadata: width, height, near, layer_count, modulation, footprint, peeling.
 
 Cases of Gaussians that are blended in the order of each pixel's own ray become FOLDER/stopthepop/NAME.safetensors. They have
 no surfels, target and losses, out.{image, alpha, depth}, and grad_image.*. What their metadata say of layers is unused.
@@ -58,14 +58,16 @@ def random_colour(rng, count, lobes):
     return model.Colour(rng.normal(0.0, 1.0, (count, 3)), raw)
 
 
-def random_scene(rng, surfels, gaussians, lobes=2, extent=1.0, surfel_scale=(-2.5, -1.2), gaussian_scale=(-4.0, -1.5)):
+def random_scene(
+    rng, surfels, gaussians, lobes=2, extent=1.0, surfel_scale=(-2.5, -1.2), gaussian_scale=(-4.0, -1.5), margins=0.2
+):
     return (
         model.Surfels(
             rng.uniform(-extent, extent, (surfels, 3)),
             rng.normal(size=(surfels, 4)),
             rng.uniform(*surfel_scale, (surfels, 2)) + np.log(extent),
             random_colour(rng, surfels, lobes),
-            rng.uniform(0.0, 0.2 * extent, surfels),
+            rng.uniform(0.0, margins * extent, surfels),
         ),
         model.Gaussians(
             rng.uniform(-extent, extent, (gaussians, 3)),
@@ -98,7 +100,7 @@ def cases(seed):
         ("crowded", (200, 200), {"surfel_scale": (-3.0, -1.5)}, (3.0, 40, 40, 45.0), {"footprint": "opacity"}),
         ("inside", (60, 60), {}, (0.3, 40, 30, 30.0), {}),
         ("one_layer_opaque", (40, 60), {}, square, {"layer_count": 1, "modulation": 255.0}),
-        ("two_layers", (40, 60), {}, square, {"layer_count": 2}),
+        ("two_layers", (40, 60), {}, square, {"layer_count": 2, "peeling": "nearest"}),
         ("four_layers_translucent", (40, 60), {}, square, {"layer_count": 4, "modulation": 0.8}),
         ("no_lobes", (30, 40), {"lobes": 0}, square, {}),
         ("no_gaussians", (30, 0), {}, square, {}),
@@ -106,7 +108,12 @@ def cases(seed):
         ("large_world", (40, 60), {"extent": 1000.0}, (4000.0, 32, 32, 40.0), {}),
         ("subpixel", (200, 200), {"surfel_scale": (-6.0, -4.0), "gaussian_scale": (-7.0, -5.0)}, square, {}),
         ("environment", (30, 40), {}, (2.0, 40, 28, 25.0), {"modulation": 1.5, "environment": True}),
-        ("backstop", (300, 80), {"surfel_scale": (-2.6, -1.6)}, (3.0, 32, 32, 36.0), {"layer_count": 2, "backstop": True}),
+        # more rims before cores than there are layers
+        ("crowded_rims", (300, 80), {"surfel_scale": (-2.6, -1.6)}, (3.0, 32, 32, 36.0), {"layer_count": 2}),
+        # the order of most neighbours is uncertain, and most Gaussians are within ramps
+        ("wide_margins", (60, 80), {"surfel_scale": (-2.2, -1.4), "margins": 1.2}, (3.0, 32, 32, 36.0), {}),
+        ("nearest", (200, 80), {"surfel_scale": (-2.6, -1.6)}, (3.0, 32, 32, 36.0), {"layer_count": 3, "peeling": "nearest"}),
+        ("literal", (60, 80), {"surfel_scale": (-2.2, -1.4)}, (3.0, 32, 32, 36.0), {"layer_count": 3, "peeling": "literal"}),
     ]
     for index, (name, counts, scene, camera, options) in enumerate(recipes):
         rng = np.random.default_rng([seed, index])
@@ -268,12 +275,11 @@ def write(folder, name, tensors, camera, options):
         "width": str(camera.width),
         "height": str(camera.height),
         "near": str(camera.near),
-        "layer_count": str(options.get("layer_count", 3)),
+        "layer_count": str(options.get("layer_count", model.LAYER_COUNT)),
         "modulation": str(options.get("modulation", model.SURFEL_MODULATION)),
         "footprint": options.get("footprint", "kernel"),
+        "peeling": options.get("peeling", "continuous"),
     }
-    if options.get("backstop"):
-        metadata["backstop"] = "true"
     save_file(tensors, folder / f"{name}.safetensors", metadata=metadata)
     print(name, f"image mean {tensors['out.image'].mean():.6f}")
 

@@ -29,6 +29,9 @@ from autograd.tracer import getval as stop_gradient
 
 CUTOFF = 1.0 / 255.0  # a fragment of a smaller value does not exist
 SURFEL_MODULATION = 30.0  # w
+LAYER_COUNT = 5  # K
+ORDER = 0.1  # depth within which two surfels have no certain order, in margins of the finer one
+RAMP = 0.2  # depth over which the test of a Gaussian falls from 1 to 0, in margins of the pixel
 LOW_PASS = 0.1  # px^2, added to the projected covariance of a Gaussian
 PLAIN_LOW_PASS = 0.3  # px^2, of weighted sums (3DGS)
 MIN_COMPENSATION_SQUARED = 2.5e-5
@@ -85,7 +88,7 @@ class SummedGaussians(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """The K nearest surfel fragments of every pixel, nearest first."""
+    """K surfel fragments of every pixel, nearest first."""
 
     ids: np.ndarray  # [H, W, K] integers, -1 where there is no layer
     alpha: np.ndarray  # [H, W, K], 0 where there is no layer
@@ -98,11 +101,12 @@ class Layers(NamedTuple):
 class Render(NamedTuple):
     image: np.ndarray  # [H, W, 3] C
     surfel_image: np.ndarray  # [H, W, 3] C_s
+    weights: np.ndarray  # [H, W, K] w_i
     transmittance: np.ndarray  # [H, W, K + 1] T_0 = 1 .. T_K
     gaussian_colour: np.ndarray  # [H, W, 3] C_G
     gaussian_weight: np.ndarray  # [H, W] W_G
-    surfel_depth: np.ndarray  # [H, W] sum_i A_i T_{i-1} D_i
-    surfel_normal: np.ndarray  # [H, W, 3] sum_i A_i T_{i-1} N_i
+    surfel_depth: np.ndarray  # [H, W] sum_i w_i D_i
+    surfel_normal: np.ndarray  # [H, W, 3] sum_i w_i N_i
     layers: Layers
 
 
@@ -149,10 +153,12 @@ def evaluate_colour(colour, positions, centre):
     return 0.5 + SH_C0 * colour.base + np.einsum("nl,nlc->nc", lobe, rgb)
 
 
-def surfel_fragments(surfels, camera, modulation, footprint):
+def surfel_fragments(surfels, camera, modulation, footprint, peeling):
     """Opacity and depth of every surfel at every pixel, each [H * W, N]. Opacity is 0 where there is no fragment.
 
-    `footprint` "kernel" ends a surfel where G < 1/255 (3.33 sigma), "opacity" where min(1, w G) < 1/255.
+    `footprint` "kernel" ends a surfel where G < 1/255 (3.33 sigma), "opacity" where w G < 1/255. If `peeling` is
+    "continuous", opacity falls from 1 where w G = 1 to 0 there, evenly with the squared distance from the centre; else it
+    is min(1, w G).
     """
     axes = np.einsum("ab,nbc->nac", camera.rotation, rotation_matrices(surfels.quaternions))
     tangent_u, tangent_v, normal = axes[..., 0], axes[..., 1], axes[..., 2]
@@ -166,38 +172,55 @@ def surfel_fragments(surfels, camera, modulation, footprint):
     scales = np.exp(surfels.log_scales)
     u = np.sum(hit * tangent_u, -1) / scales[:, 0]
     v = np.sum(hit * tangent_v, -1) / scales[:, 1]
-    kernel = np.exp(-0.5 * (u * u + v * v))
-    alpha = np.where(modulation * kernel < 1.0, modulation * kernel, 1.0)
-    inside = {"kernel": kernel, "opacity": alpha}[footprint] >= CUTOFF
-    exists = defined & (depth > camera.near) & inside
+    squared = u * u + v * v
+    end = -2.0 * np.log({"kernel": CUTOFF, "opacity": CUTOFF / modulation}[footprint])
+    core = 2.0 * np.log(modulation)
+    if peeling != "continuous":
+        rim = modulation * np.exp(-0.5 * squared)
+    elif core < end:
+        rim = (end - squared) / (end - core)
+    else:
+        rim = np.where(squared < end, 1.0, 0.0)
+    alpha = np.where(rim < 1.0, rim, 1.0)
+    exists = defined & (depth > camera.near) & (squared < end)
     return np.where(exists, alpha, 0.0), depth
 
 
-def peel(surfels, camera, layer_count=3, modulation=SURFEL_MODULATION, footprint="kernel", backstop=False):
-    """The `layer_count` nearest fragments of each pixel, ordered by (depth, surfel index).
+def nearest(is_core, depth, margin, layer_count, peeling):
+    """Whether each fragment of a pixel is a layer, [P, N], for fragments in the order of (depth, index); absent ones are at infinity.
 
-    Peeling stops behind an opaque fragment (alpha = 1): later layers are empty. With a backstop, the nearest opaque
-    fragment is the last layer of a pixel where `layer_count` or more rims lie before it.
+    "nearest" and "literal": the `layer_count` nearest, none behind a core, which is an opaque fragment. "continuous": the
+    nearest core, and the `layer_count` - 1 nearest of those that lie before it or so little behind it that their order is
+    not certain; without a core the `layer_count` - 1 nearest.
     """
-    alpha, depth = surfel_fragments(surfels, camera, modulation, footprint)
+    before = np.cumsum(is_core, -1) - is_core == 0
+    present = np.isfinite(depth)
+    if peeling != "continuous":
+        return present & before & (np.cumsum(present, -1) <= layer_count)
+    first = is_core & before
+    has_core = np.any(is_core, -1, keepdims=True)
+    end = np.sum(np.where(first, depth + ORDER * margin, 0.0), -1, keepdims=True)
+    other = present & ~first & (~has_core | (depth <= end))
+    return first | (other & (np.cumsum(other, -1) < layer_count))
+
+
+def peel(surfels, camera, layer_count=LAYER_COUNT, modulation=SURFEL_MODULATION, footprint="kernel", peeling="continuous"):
+    """The layers of each pixel, ordered by (depth, surfel index): see `nearest`."""
+    alpha, depth = surfel_fragments(surfels, camera, modulation, footprint, peeling)
     pixels, count = alpha.shape
+    margins = stop_gradient(surfels.margins)
     if count < layer_count:
         missing = np.zeros((pixels, layer_count - count))
         alpha, depth = np.concatenate([alpha, missing], 1), np.concatenate([depth, missing], 1)
+        margins = np.concatenate([margins, missing[0]])
     key = np.where(stop_gradient(alpha) > 0.0, stop_gradient(depth), np.inf)
     order = np.argsort(key, axis=-1, kind="stable")
     of_pixel = np.arange(pixels)[:, None]
-    if backstop:
-        is_core = stop_gradient(alpha)[of_pixel, order] >= 1.0
-        place = np.argmax(is_core, -1)
-        pushed_out = np.any(is_core, -1) & (place >= layer_count)
-        core = order[np.arange(pixels), place]
-        order[pushed_out, layer_count - 1] = core[pushed_out]
-    order = order[:, :layer_count]
-    layer_alpha, layer_depth = alpha[of_pixel, order], depth[of_pixel, order]
-    opaque = stop_gradient(layer_alpha) >= 1.0
-    behind_opaque = np.cumsum(opaque, -1) - opaque > 0
-    present = (stop_gradient(layer_alpha) > 0.0) & ~behind_opaque
+    is_core = stop_gradient(alpha)[of_pixel, order] >= 1.0
+    is_layer = nearest(is_core, key[of_pixel, order], margins[order], layer_count, peeling)
+    place = np.argsort(~is_layer, axis=-1, kind="stable")[:, :layer_count]
+    present = is_layer[of_pixel, place]
+    order = order[of_pixel, place]
     row = np.where(present, order, count)  # row `count` of `with_zero_row` is zero
 
     def with_zero_row(values):
@@ -211,12 +234,70 @@ def peel(surfels, camera, layer_count=3, modulation=SURFEL_MODULATION, footprint
     shape = (camera.height, camera.width, layer_count)
     return Layers(
         ids=np.where(present, order, -1).reshape(shape),
-        alpha=np.where(present, layer_alpha, 0.0).reshape(shape),
-        depth=np.where(present, layer_depth, np.inf).reshape(shape),
+        alpha=np.where(present, alpha[of_pixel, order], 0.0).reshape(shape),
+        depth=np.where(present, depth[of_pixel, order], np.inf).reshape(shape),
         colour=with_zero_row(colours)[row].reshape((*shape, 3)),
         normal=with_zero_row(normals)[row].reshape((*shape, 3)),
         margin=with_zero_row(stop_gradient(surfels.margins))[row].reshape(shape),
     )
+
+
+def behind_share(layers, i, j):
+    """[H, W] share of layer i that lies behind layer j: 0 or 1, or between where they are closer than `ORDER` margins."""
+    reach = ORDER * np.minimum(layers.margin[..., i], layers.margin[..., j])
+    both = (layers.ids[..., i] >= 0) & (layers.ids[..., j] >= 0)
+    # an absent layer is at infinity
+    distance = np.where(both, layers.depth[..., i], 0.0) - np.where(both, layers.depth[..., j], 0.0)
+    is_close = both & (np.abs(stop_gradient(distance)) < reach)
+    return np.where(is_close, 0.5 + distance / np.where(is_close, 2.0 * reach, 1.0), 1.0 if i > j else 0.0)
+
+
+def visibility(layers, peeling):
+    """Weights of the layers in the surfel image [H, W, K], transmittances [H, W, K + 1], and the depths between which the
+    test of a Gaussian against each layer falls from 1 to 0, each [H, W, K], without gradient.
+
+    "continuous": a layer weighs its opacity times what is left by the others, each as far as it is before it; these products
+    are scaled so that they add up to 1 - T_K. A Gaussian is tested with one margin for all layers of a pixel, the mean of
+    theirs by weight.
+    """
+    layer_count = layers.alpha.shape[-1]
+    opacities = [layers.alpha[..., k] for k in range(layer_count)]
+    through = [np.ones(layers.alpha.shape[:-1])]
+    for opacity in opacities:
+        through.append(through[-1] * (1.0 - opacity))
+    present = layers.ids >= 0
+    opaque = stop_gradient(layers.alpha) >= 1.0
+    if peeling == "continuous":
+        weights = []
+        for i in range(layer_count):
+            seen = opacities[i]
+            for j in range(layer_count):
+                if j != i:
+                    seen = seen * (1.0 - opacities[j] * behind_share(layers, i, j))
+            weights.append(seen)
+        total = sum(weights)
+        scale = (1.0 - through[-1]) / np.where(stop_gradient(total) > 0.0, total, 1.0)
+        weights = [weight * scale for weight in weights]
+        by_weight = stop_gradient(np.stack(weights, -1))
+        total = np.sum(by_weight, -1, keepdims=True)
+        margin = np.sum(by_weight * layers.margin, -1, keepdims=True) / np.where(total > 0.0, total, 1.0)
+        ends = stop_gradient(layers.depth) + margin
+        half = 0.5 * RAMP * np.broadcast_to(margin, ends.shape)
+        cap = np.min(np.where(opaque, ends, np.inf), -1, keepdims=True)
+    else:
+        weights = [opacities[k] * through[k] for k in range(layer_count)]
+        shifted = stop_gradient(layers.depth) + layers.margin
+        ends = shifted
+        if peeling == "literal":
+            # only the cap ends the last interval
+            ends = np.concatenate([stop_gradient(layers.depth)[..., :-1], np.full((*shifted.shape[:-1], 1), np.inf)], -1)
+        ends = np.stack([np.max(ends[..., : k + 1], -1) for k in range(layer_count)], -1)
+        half = np.zeros(ends.shape)
+        closed = present[..., -1:] | np.any(opaque, -1, keepdims=True)
+        last = np.take_along_axis(shifted, np.maximum(np.sum(present, -1, keepdims=True) - 1, 0), -1)
+        cap = np.where(closed, last, np.inf)
+    ends = np.minimum(ends, cap)
+    return np.stack(weights, -1), np.stack(through, -1), ends - half, ends + half
 
 
 def project(gaussians, camera, low_pass=LOW_PASS):
@@ -267,28 +348,26 @@ def gaussian_fragments(gaussians, camera):
     return np.where(valid & (weight >= CUTOFF), weight, 0.0), depths
 
 
-def splat(gaussians, camera, layers):
+def splat(gaussians, camera, starts, ends):
     """Order-free sums per depth interval: [H, W, K, 4] of (sum c alpha, sum alpha).
 
-    A Gaussian is compared by the depth d of its centre with the limits D_i + eps_i of the layers. A pixel is
-    closed if its last layer is opaque or is the K-th; a Gaussian with d >= D_last + eps_last is then occluded.
-    Any other Gaussian belongs to the interval of the first layer with d < D_i + eps_i. A missing layer lies at
-    infinity.
+    The share of a Gaussian that is before a layer is 1 where the depth d of its centre is below `starts`, 0 where it is not
+    below `ends`, and falls linearly between. Each interval gets the difference of two neighbouring shares.
     """
     weights, depths = gaussian_fragments(gaussians, camera)
-    layer_count = layers.depth.shape[-1]
-    depths = stop_gradient(depths)[None, :, None]
-    limits = (stop_gradient(layers.depth) + layers.margin).reshape(-1, layer_count)
-    alpha = stop_gradient(layers.alpha).reshape(-1, layer_count)
-    present = layers.ids.reshape(-1, layer_count) >= 0
-    closed = present[:, -1] | np.any(alpha >= 1.0, -1)
-    last = np.take_along_axis(limits, np.maximum(np.sum(present, -1, keepdims=True) - 1, 0), -1)
-    before = (depths < limits[:, None, :]) & (~closed[:, None] | (depths[..., 0] < last))[..., None]
-    first = (before & (np.cumsum(before, -1) == 1)).astype(float)
+    layer_count = ends.shape[-1]
+    depths = stop_gradient(depths)[None, :]
     colours = evaluate_colour(gaussians.colour, gaussians.positions, camera_centre(camera))
     payload = np.concatenate([colours, np.ones((colours.shape[0], 1))], -1)
-    sums = np.stack([(weights * first[:, :, k]) @ payload for k in range(layer_count)], 1)
-    return sums.reshape((camera.height, camera.width, layer_count, 4))
+    sums, share_before = [], np.zeros((ends.shape[0] * ends.shape[1], 1))
+    for k in range(layer_count):
+        start, end = (limit[..., k].reshape(-1, 1) for limit in (starts, ends))
+        is_ramp = np.isfinite(end) & (end > start)
+        ramp = np.where(is_ramp, end, 1.0) - np.where(is_ramp, start, 0.0)
+        share = np.where(depths < start, 1.0, np.where(depths < end, (np.where(is_ramp, end, 0.0) - depths) / ramp, 0.0))
+        sums.append((weights * (share - share_before)) @ payload)
+        share_before = share
+    return np.stack(sums, 1).reshape((camera.height, camera.width, layer_count, 4))
 
 
 def harmonics(direction):
@@ -326,20 +405,14 @@ def environment_image(coefficients, camera):
     return values.reshape((camera.height, camera.width, 3))
 
 
-def composite(layers, sums, background, detach_transmittance=False):
-    """Blends the layers front to back, weighs the Gaussian sums by transmittance, and normalises.
+def composite(layers, weights, transmittance, sums, background, detach_transmittance=False):
+    """Blends the layers by their weights, weighs the Gaussian sums by transmittance, and normalises.
 
     `background` is one colour [3] or one for every pixel [H, W, 3].
 
     `detach_transmittance` stops the gradient from the Gaussians to the surfels (ablation).
     """
-    layer_count = layers.alpha.shape[-1]
-    through = [np.ones(layers.alpha.shape[:-1])]
-    for k in range(layer_count):
-        through.append(through[-1] * (1.0 - layers.alpha[..., k]))
-    transmittance = np.stack(through, -1)
-    weight = layers.alpha * transmittance[..., :-1]
-    surfel_image = np.einsum("hwk,hwkc->hwc", weight, layers.colour) + transmittance[..., -1:] * background
+    surfel_image = np.einsum("hwk,hwkc->hwc", weights, layers.colour) + transmittance[..., -1:] * background
     gate = stop_gradient(transmittance) if detach_transmittance else transmittance
     total = np.einsum("hwk,hwkc->hwc", gate[..., :-1], sums)
     gaussian_colour, gaussian_weight = total[..., :3], total[..., 3]
@@ -348,11 +421,12 @@ def composite(layers, sums, background, detach_transmittance=False):
     return Render(
         image=image,
         surfel_image=surfel_image,
+        weights=weights,
         transmittance=transmittance,
         gaussian_colour=gaussian_colour,
         gaussian_weight=gaussian_weight,
-        surfel_depth=np.sum(weight * depth, -1),
-        surfel_normal=np.einsum("hwk,hwkc->hwc", weight, layers.normal),
+        surfel_depth=np.sum(weights * depth, -1),
+        surfel_normal=np.einsum("hwk,hwkc->hwc", weights, layers.normal),
         layers=layers,
     )
 
@@ -362,17 +436,21 @@ def render(
     gaussians,
     camera,
     background,
-    layer_count=3,
+    layer_count=LAYER_COUNT,
     modulation=SURFEL_MODULATION,
     footprint="kernel",
-    backstop=False,
+    peeling="continuous",
     detach_transmittance=False,
     environment=None,
 ):
-    layers = peel(surfels, camera, layer_count, modulation, footprint, backstop)
+    """`peeling` "continuous" is the model of dpges, "nearest" that of the paper, "literal" the same with the comparison that it
+    prints: a Gaussian then counts as before a layer if it is before its bare depth."""
+    layers = peel(surfels, camera, layer_count, modulation, footprint, peeling)
+    weights, transmittance, starts, ends = visibility(layers, peeling)
     if environment is not None:
         background = background + environment_image(environment, camera)
-    return composite(layers, splat(gaussians, camera, layers), background, detach_transmittance)
+    sums = splat(gaussians, camera, starts, ends)
+    return composite(layers, weights, transmittance, sums, background, detach_transmittance)
 
 
 def render_summed(gaussians, camera, background, weight, sigma, beta, background_weight):

@@ -5,8 +5,9 @@ use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::losses;
 use dpges_core::ops::composite::{CompositeOptions, composite};
 use dpges_core::ops::peel::PeelOptions;
+use dpges_core::ops::visibility::visibility;
 use dpges_core::render::{Render, RenderOptions, render};
-use dpges_core::scene::{ColourData, ColourModel, Footprint, GaussianData, SurfelData};
+use dpges_core::scene::{ColourData, ColourModel, Footprint, GaussianData, Peeling, SurfelData};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::scenes::{Recipe, TestScene, random};
 use glam::DVec3;
@@ -23,7 +24,7 @@ fn rendered(scene: &TestScene, peel: PeelOptions) -> Render {
 }
 
 fn options(layer_count: usize, modulation: f64, footprint: Footprint) -> PeelOptions {
-    PeelOptions { layer_count, modulation, footprint, backstop: false }
+    PeelOptions { layer_count, modulation, footprint, peeling: Peeling::Nearest }
 }
 
 /// At w = 255 every fragment is opaque: the nearest surfel, and the Gaussians in front of it, are all there is (GES).
@@ -111,12 +112,12 @@ fn a_fourth_rim_is_ignored_and_the_transmittance_loss_opens_the_other_three() {
     let mut layers = render.layers.clone();
     layers.ids = Tensor::from_data(render.layers.ids.clone().into_data(), &device);
     (layers.alpha, layers.depth) = (opacity.clone(), on_tape(&render.layers.depth));
+    let seen = visibility(&layers, &Tensor::zeros([4, 1], (&device, DType::F64)), Peeling::Nearest).unwrap();
     let colours = Tensor::<2>::from_data(render.surfel_colours.clone().into_data(), (&device, DType::F64));
     let sums = Tensor::<4>::zeros([3, 4, 1, 1], (&device, DType::F64));
     let blending = CompositeOptions { background: BACKGROUND, detach_transmittance: false };
-    let composite = composite(&layers, &colours, &sums, &blending).unwrap();
-    let limits = on_tape(&render.limits);
-    let view = Render { composite, layers, limits, surfel_colours: colours.clone(), gaussian_colours: colours };
+    let composite = composite(&layers, &seen, &colours, &sums, &blending).unwrap();
+    let view = Render { composite, layers, seen, surfel_colours: colours.clone(), gaussian_colours: colours };
     let gradient = values(&opacity.grad(&losses::transmittance(&view).backward()).unwrap());
     let open = (1.0 - a) * (1.0 - b) * (1.0 - c);
     for (mask, expected) in [(1.0, 1.0 - open), (0.0, 0.0)] {

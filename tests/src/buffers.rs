@@ -80,7 +80,7 @@ pub fn as_many_fit_as_are_said_to(device: &Device) {
         blended(Form::Students, BlendOrder::Centres),
         blended(Form::Whitened, BlendOrder::Whitened(Transparency::Hybrid)),
     ] {
-        let scene = dust(drawn, COUNT, 220);
+        let scene = dust(drawn, COUNT, 180);
         let most = (COUNT * drawn.row_bytes()) + drawn.spare_bytes();
         assert_eq!(limited(most, || drawn.most(device)), COUNT);
         let refused = limited(most / 100 * 98, || step(&scene, drawn, device)).err();

@@ -3,7 +3,7 @@
 use burn::tensor::{DType, Device};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::{RenderOptions, render};
-use dpges_core::scene::Footprint;
+use dpges_core::scene::{Footprint, Peeling};
 use dpges_core::testing::extremes::{Extreme, Hazard, extreme, extreme_of};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::precision::{Deviation, Way, conditions, deviations};
@@ -54,13 +54,13 @@ pub fn gradients_of_needles_are_close(device: &Device) {
 /// Surfels so steep that every fragment is opaque: no pixel is in between.
 pub fn transmittances_of_exactly_0_and_1_are_finite(device: &Device) {
     for layer_count in [1, 3] {
-        let peel = PeelOptions { layer_count, modulation: 1e30, footprint: Footprint::Kernel, backstop: false };
+        let peel =
+            PeelOptions { layer_count, modulation: 1e30, footprint: Footprint::Kernel, peeling: Peeling::Continuous };
         let scene = scene();
         let (surfels, gaussians) = scene.tensors(device, DType::F32);
         let options = RenderOptions { peel, ..RenderOptions::default() };
         let rendered = render(&surfels, &gaussians, &scene.camera, &options).unwrap();
-        let through = values(&rendered.composite.transmittance);
-        let behind = &through[layer_count * 33 * 18..];
+        let behind = values(&rendered.seen.behind_all());
         let [closed, open] = [0.0, 1.0].map(|exactly| behind.iter().filter(|&&t| t == exactly).count());
         assert!(closed > 10 && open > 10, "{closed} pixels are closed and {open} open");
         assert_eq!(closed + open, behind.len(), "transmittances between 0 and 1");

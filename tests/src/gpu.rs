@@ -12,8 +12,8 @@ use libtest_mimic::Trial;
 use crate::budget::seeds;
 use crate::timing::trial;
 use crate::{
-    buffers, extreme_training, extremes, golden, gpu, kernels, large, lpips, own_device, parity, poisoned, step_cost,
-    students, training,
+    buffers, extreme_training, extremes, golden, gpu, jumps, kernels, large, lpips, own_device, parity, poisoned,
+    step_cost, students, training,
 };
 
 /// Scenes with several hazards, unless [`budget`](crate::budget) says otherwise.
@@ -61,6 +61,7 @@ pub fn trials() -> Vec<Trial> {
         parity::doubles_on_a_gpu_are_refused_by_name,
         parity::photographs_are_unpacked_to_the_same_bits,
         lpips::a_gpu_agrees_with_a_cpu,
+        jumps::nothing_jumps_along_a_path,
         gpu::starts_once,
         training::a_run_on_a_gpu_is_the_same_bytes_every_time,
         training::a_step_that_is_not_finite_changes_no_parameter,

@@ -35,12 +35,13 @@ fn outputs(render: &Render) -> Vec<(&'static str, Vec<f64>)> {
     vec![
         ("image", values(&composite.image)),
         ("surfel image", values(&composite.surfel_image)),
-        ("transmittance", values(&composite.transmittance)),
+        ("weights", values(&render.seen.weights)),
+        ("transmittance", values(&render.seen.transmittance)),
         ("Gaussian colour", values(&composite.gaussian_colour)),
         ("Gaussian weight", values(&composite.gaussian_weight)),
         ("alpha", values(&render.layers.alpha)),
         ("depth", values(&render.layers.depth)),
-        ("limits", values(&render.limits)),
+        ("limits", values(&render.seen.limits)),
         ("surfel colours", values(&render.surfel_colours)),
         ("Gaussian colours", values(&render.gaussian_colours)),
     ]
@@ -116,11 +117,11 @@ fn nothing_is_rendered_as_the_background() {
     let whole = scene();
     let nothing = TestScene { surfels: whole.surfels.select(&[]), gaussians: whole.gaussians.select(&[]), ..whole };
     for device in [ndarray(), flex()] {
-        let composite = rendered(&nothing, &device).composite;
+        let Render { composite, seen, .. } = rendered(&nothing, &device);
         let plane = nothing.camera.width * nothing.camera.height;
         for (at, value) in values(&composite.image).into_iter().enumerate() {
             approx::assert_relative_eq!(value, BACKGROUND[at / plane], epsilon = 1e-6);
         }
-        assert!(values(&composite.transmittance).iter().all(|t| *t == 1.0));
+        assert!(values(&seen.transmittance).iter().all(|t| *t == 1.0));
     }
 }

@@ -8,7 +8,7 @@ use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::blended::render_blended;
 use dpges_core::render::{Render, RenderOptions, Values, render};
 use dpges_core::scene::schema::Columns;
-use dpges_core::scene::{ColourModel, Footprint, GaussianData, Gaussians, SurfelData, Surfels};
+use dpges_core::scene::{ColourModel, Footprint, GaussianData, Gaussians, Peeling, SurfelData, Surfels};
 use dpges_core::testing::compare::relative_l2;
 use dpges_core::testing::golden::values;
 use dpges_core::testing::scenes::{TestScene, realistic};
@@ -53,7 +53,7 @@ fn facing(count: usize, camera: Camera, sigmas_px: [f64; 2], place: impl Fn(usiz
 }
 
 fn peeled(layer_count: usize) -> RenderOptions {
-    let peel = PeelOptions { layer_count, modulation: HALF, footprint: Footprint::Kernel, backstop: false };
+    let peel = PeelOptions { layer_count, modulation: HALF, footprint: Footprint::Kernel, peeling: Peeling::Nearest };
     RenderOptions { peel, ..RenderOptions::default() }
 }
 

@@ -8,6 +8,7 @@ mod extreme_training;
 mod extremes;
 mod golden;
 mod gpu;
+mod jumps;
 mod kernels;
 mod large;
 mod lpips;
@@ -37,6 +38,10 @@ fn main() -> ExitCode {
     trials.extend(lpips::trials());
     trials.push(Trial::test("parity::a_device_that_is_off_is_found_out", || {
         parity::a_device_that_is_off_is_found_out();
+        Ok(())
+    }));
+    trials.push(Trial::test("jumps::nothing_jumps_on_a_cpu", || {
+        jumps::nothing_jumps_along_a_path(&devices::flex());
         Ok(())
     }));
     if let Ok(share) = std::env::var("DPGES_TEST_SHARE") {

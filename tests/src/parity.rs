@@ -7,7 +7,9 @@ use dpges_core::ops::peel::PeelOptions;
 use dpges_core::ops::unpack::{pack, unpack};
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::render::{RenderOptions, Values, render};
-use dpges_core::scene::{BlendOrder, ColourModel, DepthWeight, Footprint, HIGHEST_ALPHA, ScreenFilter, Transparency};
+use dpges_core::scene::{
+    BlendOrder, ColourModel, DepthWeight, Footprint, HIGHEST_ALPHA, Peeling, ScreenFilter, Transparency,
+};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::kernels::limit_buffers;
 use dpges_core::testing::lenses::{behind, every_model};
@@ -134,8 +136,8 @@ pub fn every_operation_agrees_for_every_number_of_layers_and_footprint(device: &
     let scene = random(41, ColourModel::SphericalBeta { lobes: 1 });
     for layer_count in [1, 2, 4, 8] {
         for (footprint, modulation) in [(Footprint::Kernel, 30.0), (Footprint::Opacity, 255.0)] {
-            for backstop in [false, true] {
-                let options = PeelOptions { layer_count, modulation, footprint, backstop };
+            for peeling in [Peeling::Continuous, Peeling::Nearest] {
+                let options = PeelOptions { layer_count, modulation, footprint, peeling };
                 check(&format!("{options:?}"), &scene, options, device);
             }
         }

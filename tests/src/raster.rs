@@ -7,8 +7,8 @@ use std::sync::{Arc, OnceLock};
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{EnvironmentData, Footprint, MarginLookup, Rendering, SceneData};
-use dpges_render::{CameraPath, Headless, Precision, RenderError, RenderOptions, Up};
+use dpges_core::scene::{EnvironmentData, Footprint, Peeling, Rendering, SceneData};
+use dpges_render::{CameraPath, Headless, MAX_LAYERS, Precision, RenderError, RenderOptions, Up};
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::popping::Frame;
@@ -17,7 +17,7 @@ use libtest_mimic::{Failed, Trial};
 
 use crate::devices::flex;
 use crate::timing::trial;
-use crate::{gpu, training};
+use crate::{gpu, jumps, training};
 
 type Test = fn(&Headless) -> Result<(), Failed>;
 
@@ -29,12 +29,16 @@ const FRAMES: usize = 120;
 const LARGEST_SPIKE: f64 = 3.0;
 
 pub fn trials() -> Vec<Trial> {
-    let tests: [(&str, Test); 5] = [
+    let tests: [(&str, Test); 6] = [
         ("raster::a_trained_scene_looks_the_same", a_trained_scene_looks_the_same),
-        ("raster::every_number_of_layers_and_lookup_looks_the_same", every_number_of_layers_and_lookup_looks_the_same),
+        (
+            "raster::every_number_of_layers_and_peeling_looks_the_same",
+            every_number_of_layers_and_peeling_looks_the_same,
+        ),
         ("raster::scenes_of_stages_look_the_same", scenes_of_stages_look_the_same),
         ("raster::scenes_before_an_environment_look_the_same", scenes_before_an_environment_look_the_same),
         ("raster::nothing_pops_along_a_path", nothing_pops_along_a_path),
+        ("raster::nothing_jumps_along_a_path", nothing_jumps_along_a_path),
     ];
     let headless = Headless::new();
     let required = gpu::is_required();
@@ -114,23 +118,19 @@ fn a_trained_scene_looks_the_same(headless: &Headless) -> Result<(), Failed> {
     compare(headless, "joint, sh3", &trained(60, &["model.colour=sh3"]))
 }
 
-fn every_number_of_layers_and_lookup_looks_the_same(headless: &Headless) -> Result<(), Failed> {
-    for layer_count in 1..=4 {
-        for (footprint, margin_lookup) in
-            [(Footprint::Kernel, MarginLookup::Literal), (Footprint::Opacity, MarginLookup::Shifted)]
-        {
-            for backstop in [false, true] {
-                let mut scene = joint().clone();
-                // rims that let much through need more than one layer
-                (scene.info.layer_count, scene.info.modulation, scene.info.backstop) = (layer_count, 2.0, backstop);
-                (scene.info.footprint, scene.info.margin_lookup) = (footprint, margin_lookup);
-                let backstopped = if backstop { ", backstop" } else { "" };
-                compare(
-                    headless,
-                    &format!("K = {layer_count}, {footprint:?}, {margin_lookup:?}{backstopped}"),
-                    &scene,
-                )?;
-            }
+fn every_number_of_layers_and_peeling_looks_the_same(headless: &Headless) -> Result<(), Failed> {
+    for layer_count in 1..=MAX_LAYERS {
+        for (footprint, peeling) in [
+            (Footprint::Kernel, Peeling::Continuous),
+            (Footprint::Opacity, Peeling::Continuous),
+            (Footprint::Kernel, Peeling::Literal),
+            (Footprint::Opacity, Peeling::Nearest),
+        ] {
+            let mut scene = joint().clone();
+            // rims that let much through need more than one layer
+            (scene.info.layer_count, scene.info.modulation, scene.info.peeling) = (layer_count, 2.0, peeling);
+            scene.info.footprint = footprint;
+            compare(headless, &format!("K = {layer_count}, {footprint:?}, {peeling}"), &scene)?;
         }
     }
     Ok(())
@@ -225,6 +225,20 @@ fn nothing_pops_along_a_path(headless: &Headless) -> Result<(), Failed> {
     let [popped, median] = spikes(&own);
     if popped <= LARGEST_SPIKE * median {
         return Err(format!("a frame that pops is not found: {:.2} medians", popped / median).into());
+    }
+    Ok(())
+}
+
+fn nothing_jumps_along_a_path(headless: &Headless) -> Result<(), Failed> {
+    let best = dpges_render::Renderer::best_precision(headless.device());
+    let depths = dpges_render::Renderer::best_depths(headless.device());
+    for (name, scene, path) in jumps::scenes() {
+        jumps::check(name, &scene, |scene| {
+            let mut own = headless.float_renderer(best, depths)?;
+            own.upload(scene)?;
+            let options = RenderOptions::from(&scene.info);
+            jumps::jumps(&path, |camera| headless.planes(&mut own, camera, &options))
+        })?;
     }
     Ok(())
 }

@@ -7,7 +7,7 @@ use dpges_core::losses::{LossWeights, losses};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::{RenderOptions, render};
 use dpges_core::scene::schema::{Attribute, Columns, GaussianColumns, SurfelColumns};
-use dpges_core::scene::{Footprint, Gaussians, Surfels};
+use dpges_core::scene::{Footprint, Gaussians, Peeling, Surfels};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::scenes::TestScene;
 use glam::{DMat3, DVec3};
@@ -93,7 +93,7 @@ fn impossible_cameras_and_options_are_named() {
     for (name, layer_count, modulation) in
         [("layer_count", 0, 30.0), ("layer_count", 9, 30.0), ("modulation", 3, 0.0), ("modulation", 3, f64::NAN)]
     {
-        let peel = PeelOptions { layer_count, modulation, footprint: Footprint::Kernel, backstop: false };
+        let peel = PeelOptions { layer_count, modulation, footprint: Footprint::Kernel, peeling: Peeling::Continuous };
         let error = error(scene.camera, RenderOptions { peel, ..RenderOptions::default() });
         assert!(matches!(&error, Error::Option { option, .. } if *option == name), "{name}: {error}");
     }

@@ -7,7 +7,7 @@ use burn::tensor::Tensor;
 
 use super::geometry::expected_depth;
 use crate::error::Result;
-use crate::ops::composite::{layer_depth, layer_weights};
+use crate::ops::composite::layer_depth;
 use crate::render::Render;
 use crate::scene::tensors::check_shape;
 
@@ -16,12 +16,12 @@ const TINY: f64 = 1e-12;
 /// Variance up to which relative disparities, which reach 1, are all the same.
 const FLAT: f64 = 1e-8;
 
-/// Expected depth of the surfels `Σ w D / Σ w` and their coverage `Σ w` with w = A_i T_{i−1}, both 0 where there are none.
+/// Expected depth of the surfels `Σ w D / Σ w` and their coverage `Σ w` with the weights w of the layers, both 0 where there are none.
 /// Gradients reach positions, quaternions and log-scales of surfels.
 pub fn surfel_depth(render: &Render) -> [Tensor<3>; 2] {
-    let weights = layer_weights(&render.layers, &render.composite.transmittance);
+    let weights = &render.seen.weights;
     let coverage = weights.clone().sum_dim(0);
-    [expected_depth(layer_depth(&render.layers, &weights), coverage.clone()), coverage]
+    [expected_depth(layer_depth(&render.layers, weights), coverage.clone()), coverage]
 }
 
 /// Mean of `a |D d − 1| / (D d + 1)` over the pixels with a disparity d, of the `depth` D and the `coverage` a, which
@@ -80,7 +80,7 @@ mod tests {
     use crate::ops::fixtures::{SURFEL_NAMES, SURFEL_WIDTHS, check_rows, constant, surfel_rows};
     use crate::ops::peel::PeelOptions;
     use crate::render::{RenderOptions, render};
-    use crate::scene::{ColourModel, Footprint, Surfels};
+    use crate::scene::{ColourModel, Footprint, Peeling, Surfels};
     use crate::testing::device;
     use crate::testing::golden::values;
     use crate::testing::random::Random;
@@ -143,7 +143,8 @@ mod tests {
         let mut disparities = Random::new(8).numbers(camera.width * camera.height, 0.2, 1.0);
         disparities.iter_mut().step_by(5).for_each(|disparity| *disparity = 0.0);
         let disparity = constant(&disparities, shape);
-        let peel = PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity, backstop: false };
+        let peel =
+            PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity, peeling: Peeling::Nearest };
         let options = RenderOptions { peel, ..RenderOptions::default() };
         let fixed = OnceCell::new();
         let loss = |[positions, quaternions, log_scales]: &[Tensor<2>; 3]| {

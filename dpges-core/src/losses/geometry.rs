@@ -162,7 +162,7 @@ pub fn geometry(
     let [_, height, width] = render.layers.alpha.dims();
     check_shape("supervision.depth", &supervision.depth, [1, height, width])?;
     check_shape("supervision.normal", &supervision.normal, [3, height, width])?;
-    let blended = composite::geometry(surfels, &render.layers, &render.composite.transmittance, camera);
+    let blended = composite::geometry(surfels, &render.layers, &render.seen.weights, camera);
     let without_depth = supervision.depth.clone().lower_equal_elem(0.0);
     let without_normal = supervision.normal.clone().powi_scalar(2).sum_dim(0).lower_equal_elem(0.0);
     let from_supervision = |normal: Tensor<3>| {

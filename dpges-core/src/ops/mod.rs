@@ -1,5 +1,5 @@
 //! The custom operations, in the order in which a training step uses them: [`finite`], [`colour`],
-//! [`peel`], [`interval_limits`](mod@interval_limits), [`splat`], [`composite`], [`environment`](mod@environment),
+//! [`peel`], [`visibility`](mod@visibility), [`splat`], [`composite`], [`environment`](mod@environment),
 //! [`photometric`], [`surfel_loss`], [`scale_loss`], [`adam`]. [`coverage`] and [`jitter`] serve refinement, and
 //! [`unpack`](mod@unpack) brings photographs and masks to a GPU.
 //! [`blend`] replaces peel, splat and composite where Gaussians or discs are trained alone, [`harmonics`](mod@harmonics)
@@ -37,7 +37,6 @@ pub mod finite;
 #[cfg(test)]
 pub(crate) mod fixtures;
 pub mod harmonics;
-pub mod interval_limits;
 pub mod jitter;
 pub mod peel;
 pub mod photometric;
@@ -45,3 +44,4 @@ pub mod scale_loss;
 pub mod splat;
 pub mod surfel_loss;
 pub mod unpack;
+pub mod visibility;

@@ -109,7 +109,8 @@ pub fn render_summed(
     }
 
     let (device, dtype) = (colours.device(), colours.dtype());
-    let everywhere = Tensor::full([1, camera.height, camera.width], f32::INFINITY, (&device, dtype));
+    // one interval that never ends; its slope, which does not matter, is more than 0
+    let everywhere = Tensor::full([2, camera.height, camera.width], f32::INFINITY, (&device, dtype));
     let planes = |sums: Tensor<4>, first: usize, count: usize| {
         let part = sums.slice([0..1, first..first + count, 0..camera.height, 0..camera.width]);
         part.reshape([count, camera.height, camera.width])

@@ -18,13 +18,16 @@ use std::io::Write;
 use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors};
+use serde_json::Value;
 
 use super::compressed;
 use super::container::{Rows, bytes, lobe_names, read, row_count, scene_file, unreadable};
 use super::data::check_numbers;
 use super::lobes::{LOBE_LEN, pack, unpack};
 use super::schema::{Attribute, Columns, ENVIRONMENT, Width};
-use super::{ColourModel, EnvironmentData, GaussianData, Rendering, SceneData, SceneInfo, SurfelData, WeightedSum};
+use super::{
+    ColourModel, EnvironmentData, GaussianData, Peeling, Rendering, SceneData, SceneInfo, SurfelData, WeightedSum,
+};
 use crate::error::{Error, Result};
 use crate::scene::atomic::write_atomically;
 
@@ -151,7 +154,7 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
         return Err(format!("version {version} is unknown, expected {}", versions.join(" or ")));
     }
     let info = entry("info").ok_or("metadata `info` is missing")?;
-    let info: SceneInfo = serde_json::from_str(info).map_err(|error| format!("metadata `info`: {error}"))?;
+    let info = read_info(info).map_err(|error| format!("metadata `info`: {error}"))?;
     check_info(&info)?;
 
     let (surfels, gaussians) = if entry("format") == Some(compressed::FORMAT) {
@@ -162,6 +165,15 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     let scene = SceneData { surfels, gaussians, environment: read_environment(&file)?, info };
     scene.check().map_err(|error| error.to_string())?;
     Ok(scene)
+}
+
+fn read_info(text: &str) -> serde_json::Result<SceneInfo> {
+    let mut info: Value = serde_json::from_str(text)?;
+    if let Some(entries) = info.as_object_mut().filter(|entries| !entries.contains_key("peeling")) {
+        let peeling = serde_json::to_value(Peeling::of_older_file(entries))?;
+        entries.insert("peeling".to_owned(), peeling);
+    }
+    serde_json::from_value(info)
 }
 
 /// The attributes of a kind of primitive.
@@ -233,7 +245,7 @@ mod tests {
     use super::*;
     use crate::scene::container::{GAUSSIAN_LOBES, SURFEL_LOBES, environment};
     use crate::scene::lobes::ABSENT_LOBE;
-    use crate::scene::{BlendOrder, MarginLookup, ScreenFilter};
+    use crate::scene::{BlendOrder, ScreenFilter};
     use crate::testing::scenes::numbered;
 
     const TWO_LOBES: ColourModel = ColourModel::SphericalBeta { lobes: 2 };
@@ -244,8 +256,7 @@ mod tests {
             sum.sigma = 7.5;
         }
         scene.info = SceneInfo {
-            backstop: true,
-            margin_lookup: MarginLookup::Literal,
+            peeling: Peeling::Literal,
             screen_filter: ScreenFilter::Plain,
             blend_order: BlendOrder::Rays,
             background: [0.0, 0.5, 1.0],
@@ -337,6 +348,25 @@ mod tests {
         assert!(without.contains("`gaussians.degrees_of_freedom`"), "{without}");
         students.info.rendering = Rendering::Ellipsoids;
         assert!(refused(&students).contains("`gaussians.degrees_of_freedom`"));
+    }
+
+    #[test]
+    fn older_files_name_their_peeling_by_other_entries() {
+        let scene = scene(TWO_LOBES, 3, 5);
+        for (entries, peeling) in [
+            ("", Peeling::Nearest),
+            (r#""backstop":false,"margin_lookup":"shifted","#, Peeling::Nearest),
+            (r#""backstop":false,"margin_lookup":"literal","#, Peeling::Literal),
+            (r#""backstop":true,"margin_lookup":"shifted","#, Peeling::Continuous),
+        ] {
+            let older = |metadata: &mut HashMap<String, String>| {
+                let info = metadata["info"].replace(r#""peeling":"literal","#, entries);
+                assert!(!info.contains("peeling"), "{info}");
+                metadata.insert("info".into(), info);
+            };
+            let loaded = read_back(&save_bytes(&scene, older, "")).unwrap();
+            assert_eq!(loaded.info, SceneInfo { peeling, ..scene.info.clone() });
+        }
     }
 
     #[test]

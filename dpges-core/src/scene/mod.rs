@@ -11,6 +11,7 @@ mod environment;
 pub mod file;
 pub mod lobes;
 pub mod lod;
+pub mod peeling;
 pub mod schema;
 #[cfg(feature = "burn")]
 pub mod split;
@@ -27,33 +28,11 @@ pub use colour_model::{ColourModel, SH_C0};
 pub use compressed::Quality;
 pub use data::{ColourData, GaussianData, SceneData, SurfelData};
 pub use environment::EnvironmentData;
+pub use peeling::{Footprint, Peeling};
 pub use schema::OpacityActivation;
 #[cfg(feature = "burn")]
 pub use tensors::{Colour, Gaussians, Surfels};
 pub use weighted_sum::{DepthWeight, WeightedSum};
-
-/// Where a surfel ends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Footprint {
-    /// Where the kernel G falls below 1/255: 3.33 σ.
-    #[default]
-    Kernel,
-    /// Where the opacity min(1, w G) falls below 1/255: 4.23 σ at w = 30.
-    Opacity,
-}
-
-/// Which depths of a pixel's layers the depth of a Gaussian is compared with, to find the transmittance that weighs it.
-/// Whether it is hidden altogether is decided by the depth plus margin of the last layer, either way.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum MarginLookup {
-    /// Depths plus margins, D + ε: a Gaussian within the margin of a layer counts as in front of it.
-    #[default]
-    Shifted,
-    /// Bare depths D, as the paper prints it: behind an opaque layer nothing has weight, margin or not.
-    Literal,
-}
 
 /// The low-pass filter of the projected covariance of a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -164,9 +143,8 @@ pub struct SceneInfo {
     /// K: peeled layers.
     pub layer_count: usize,
     pub footprint: Footprint,
-    /// Whether the nearest opaque fragment of a pixel is always a layer.
-    pub backstop: bool,
-    pub margin_lookup: MarginLookup,
+    /// Older files tell it by other entries.
+    pub peeling: Peeling,
     pub rendering: Rendering,
     /// Filter of blended Gaussians; of everything that is peeled [`ScreenFilter::Compensated`].
     pub screen_filter: ScreenFilter,
@@ -201,15 +179,14 @@ impl SceneInfo {
 }
 
 impl Default for SceneInfo {
-    /// The paper's model in a bounded scene around the origin.
+    /// The default model in a bounded scene around the origin.
     fn default() -> Self {
         Self {
             colour_model: ColourModel::SphericalBeta { lobes: 2 },
             modulation: 30.0,
-            layer_count: 3,
+            layer_count: 5,
             footprint: Footprint::default(),
-            backstop: false,
-            margin_lookup: MarginLookup::default(),
+            peeling: Peeling::default(),
             rendering: Rendering::default(),
             screen_filter: ScreenFilter::default(),
             blend_order: BlendOrder::default(),

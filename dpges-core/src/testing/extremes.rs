@@ -5,7 +5,7 @@ use glam::{DMat3, DQuat, DVec3, Vec3};
 use super::random::Random;
 use super::scenes::{Recipe, TestScene, random};
 use crate::ops::peel::PeelOptions;
-use crate::scene::{ColourModel, Footprint};
+use crate::scene::{ColourModel, Footprint, Peeling};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Hazard {
@@ -119,8 +119,8 @@ fn with_hazards(seed: u64, hazards: Vec<Hazard>, random: &mut Random) -> Extreme
     let mut scene = self::random(seed, &recipe);
     let modulation = [10.0, 30.0, 255.0][random.below(3)];
     let footprint = if random.below(2) == 0 { Footprint::Kernel } else { Footprint::Opacity };
-    let mut peel =
-        PeelOptions { layer_count: 1 + random.below(4), modulation, footprint, backstop: random.below(2) == 0 };
+    let peeling = if random.below(2) == 0 { Peeling::Continuous } else { Peeling::Nearest };
+    let mut peel = PeelOptions { layer_count: 1 + random.below(4), modulation, footprint, peeling };
     for &hazard in &hazards {
         apply(hazard, &mut scene, &mut peel, recipe.extent, random);
     }

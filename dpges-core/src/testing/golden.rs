@@ -21,7 +21,7 @@ use crate::ops::peel::PeelOptions;
 use crate::ops::photometric::ssim;
 use crate::render::{Render, RenderOptions, render};
 use crate::scene::schema::{Attribute, Columns, ENVIRONMENT, Width};
-use crate::scene::{ColourModel, DepthWeight, Footprint, Gaussians, Surfels};
+use crate::scene::{ColourModel, DepthWeight, Footprint, Gaussians, Peeling, Surfels};
 
 struct Array {
     shape: Vec<usize>,
@@ -103,7 +103,11 @@ impl<'a> File<'a> {
             layer_count: self.number("layer_count")? as usize,
             modulation: self.number("modulation")?,
             footprint: if self.text("footprint")? == "opacity" { Footprint::Opacity } else { Footprint::Kernel },
-            backstop: self.metadata.get("backstop").is_some_and(|backstop| backstop == "true"),
+            peeling: match self.text("peeling")? {
+                "nearest" => Peeling::Nearest,
+                "literal" => Peeling::Literal,
+                _ => Peeling::Continuous,
+            },
         })
     }
 
@@ -301,10 +305,11 @@ impl Found<'_> {
         let composite = &rendered.composite;
         self.image("out.image", &composite.image);
         self.image("out.surfel_image", &composite.surfel_image);
-        self.image("out.transmittance", &composite.transmittance);
+        self.image("out.weights", &rendered.seen.weights);
+        self.image("out.transmittance", &rendered.seen.transmittance);
         self.image("out.gaussian_colour", &composite.gaussian_colour);
         self.image("out.gaussian_weight", &composite.gaussian_weight);
-        let shape = geometry(&inputs.surfels, &rendered.layers, &composite.transmittance, &self.case.camera);
+        let shape = geometry(&inputs.surfels, &rendered.layers, &rendered.seen.weights, &self.case.camera);
         self.image("out.surfel_depth", &shape.depth);
         self.image("out.surfel_normal", &shape.normal);
         self.image("out.layers.alpha", &rendered.layers.alpha);

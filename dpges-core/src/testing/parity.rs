@@ -23,18 +23,18 @@ use crate::ops::coverage::coverage;
 use crate::ops::environment::environment;
 use crate::ops::finite::FiniteChecks;
 use crate::ops::harmonics::harmonics;
-use crate::ops::interval_limits::interval_limits;
 use crate::ops::jitter::{JitterOptions, NoiseGate, jitter};
 use crate::ops::peel::{Layers, PeelOptions, peel};
 use crate::ops::photometric::{PhotometricWeights, photometric, ssim};
 use crate::ops::scale_loss::scale_loss;
 use crate::ops::splat::{contributions, splat};
 use crate::ops::surfel_loss::{SurfelLossWeights, surfel_loss};
+use crate::ops::visibility::{Visibility, visibility};
 use crate::render::Values;
 use crate::render::blended::Probes;
 use crate::render::summed::{SummedOptions, WeightedSumTensors, render_summed};
 use crate::scene::schema::Columns;
-use crate::scene::{DepthWeight, Gaussians, MarginLookup, Surfels};
+use crate::scene::{DepthWeight, Gaussians, Peeling, Surfels};
 
 /// A tensor by name, as `peel.alpha` or `splat.grad.positions`.
 pub type Named = (String, Vec<f64>);
@@ -44,6 +44,8 @@ pub struct Reference {
     ids: Vec<i64>,
     alpha: Vec<f64>,
     depth: Vec<f64>,
+    weights: Vec<f64>,
+    transmittance: Vec<f64>,
     limits: Vec<f64>,
     sums: Vec<f64>,
     surfel_colours: Vec<f64>,
@@ -127,8 +129,7 @@ impl<'a> Bench<'a> {
     }
 
     fn peeled(&self) -> Layers {
-        let (s, camera) = (&self.surfels, &self.scene.camera);
-        peel(&s.positions, &s.quaternions, &s.log_scales, camera, &self.options).expect("valid input")
+        peel(&self.surfels, &self.scene.camera, &self.options).expect("valid input")
     }
 
     /// [K, H, W] surfels of the layers, −1 where there is none.
@@ -136,22 +137,31 @@ impl<'a> Bench<'a> {
         self.peeled().ids.into_data().iter::<i64>().collect()
     }
 
+    /// Goes back from each output by itself, and from both together.
     fn peel(&mut self, reference: &Reference) {
-        let layers = self.peeled();
         let agreed = self.tensor(&reference.agreed, self.shape());
-        // a missing layer is at infinity
-        let left_out = layers.ids.clone().lower_elem(0).float() + (agreed.clone() * -1.0 + 1.0);
-        let alpha = layers.alpha * agreed.clone();
-        let depth = layers.depth.mask_fill(left_out.greater_elem(0.5), 0.0);
-        self.note("peel.alpha", &alpha);
-        self.note("peel.depth", &depth);
-        let upstream = self.upstream(&alpha, 1);
-        let of_alpha = (alpha * upstream.clone()).sum().backward();
-        let of_depth = (depth * upstream).sum().backward();
         let Surfels { positions, quaternions, log_scales, .. } = &self.surfels.clone();
         let leaves = [("positions", positions), ("quaternions", quaternions), ("log_scales", log_scales)];
-        self.gradients("peel.alpha", &leaves, &of_alpha);
-        self.gradients("peel.depth", &leaves, &of_depth);
+        for output in ["alpha", "depth", "both"] {
+            let layers = self.peeled();
+            // a missing layer is at infinity
+            let left_out = layers.ids.clone().lower_elem(0).float() + (agreed.clone() * -1.0 + 1.0);
+            let alpha = layers.alpha * agreed.clone();
+            let depth = layers.depth.mask_fill(left_out.greater_elem(0.5), 0.0);
+            let upstream = self.upstream(&alpha, 1);
+            let loss = match output {
+                "alpha" => {
+                    self.note("peel.alpha", &alpha);
+                    (alpha * upstream).sum()
+                }
+                "depth" => {
+                    self.note("peel.depth", &depth);
+                    (depth * upstream).sum()
+                }
+                _ => (alpha * upstream.clone()).sum() + (depth * upstream).sum(),
+            };
+            self.gradients(&format!("peel.{output}"), &leaves, &loss.backward());
+        }
     }
 
     fn colours(&mut self) -> [Tensor<2>; 2] {
@@ -178,24 +188,51 @@ impl<'a> Bench<'a> {
         let gradients = (sums.clone() * self.upstream(&sums, 3)).sum().backward();
         self.gradients("splat", &leaves(&gaussians), &gradients);
         self.gradient("splat.grad.colours", &colours, &gradients);
-        let gates = self.upstream(&limits, 4).abs();
+        let [bounds, height, width] = limits.dims();
+        let gates = self.upstream(&limits.clone().slice([0..bounds - 1, 0..height, 0..width]), 4).abs();
         let largest = contributions(&gaussians, &colours, &limits, &gates, camera).expect("valid input");
         self.note("splat.contributions", &largest);
         sums
     }
 
+    /// With every peeling; goes back from weights and transmittances.
+    fn visibility(&mut self, layers: &Layers) {
+        for (name, peeling) in
+            [("continuous", Peeling::Continuous), ("nearest", Peeling::Nearest), ("literal", Peeling::Literal)]
+        {
+            let of = format!("visibility.{name}");
+            for output in ["weights", "transmittance"] {
+                let (alpha, depth) = (layers.alpha.clone().require_grad(), layers.depth.clone().require_grad());
+                let layers = Layers { alpha: alpha.clone(), depth: depth.clone(), ids: layers.ids.clone() };
+                let seen = visibility(&layers, &self.surfels.margins, peeling).expect("one shape");
+                let tensor = if output == "weights" {
+                    self.note(&format!("{of}.limits"), &seen.limits);
+                    seen.weights
+                } else {
+                    seen.transmittance
+                };
+                self.note(&format!("{of}.{output}"), &tensor);
+                let gradients = (tensor.clone() * self.upstream(&tensor, 17)).sum().backward();
+                self.gradient(&format!("{of}.{output}.grad.alpha"), &alpha, &gradients);
+                self.gradient(&format!("{of}.{output}.grad.depth"), &depth, &gradients);
+            }
+        }
+    }
+
     /// Goes back from each output by itself, and from all of them together.
-    fn composite(&mut self, layers: &Layers, colours: &Tensor<2>, sums: &Tensor<4>) {
-        const NAMES: [&str; 5] = ["image", "surfel_image", "transmittance", "gaussian_colour", "gaussian_weight"];
+    fn composite(&mut self, layers: &Layers, seen: &Visibility, colours: &Tensor<2>, sums: &Tensor<4>) {
+        const NAMES: [&str; 4] = ["image", "surfel_image", "gaussian_colour", "gaussian_weight"];
         for detach_transmittance in [false, true] {
             let options = CompositeOptions { background: [0.3, 0.6, 0.1], detach_transmittance };
             let every: Vec<usize> = (0..NAMES.len()).collect();
             for chosen in every.chunks(1).chain([every.as_slice()]) {
-                let layers = Layers { alpha: layers.alpha.clone().require_grad(), ..layers.clone() };
+                let weights = seen.weights.clone().require_grad();
+                let transmittance = seen.transmittance.clone().require_grad();
                 let (colours, sums) = (colours.clone().require_grad(), sums.clone().require_grad());
-                let out = composite(&layers, &colours, &sums, &options).expect("valid input");
-                let outputs =
-                    [out.image, out.surfel_image, out.transmittance, out.gaussian_colour, out.gaussian_weight];
+                let limits = seen.limits.clone();
+                let seen = Visibility { weights: weights.clone(), transmittance: transmittance.clone(), limits };
+                let out = composite(layers, &seen, &colours, &sums, &options).expect("valid input");
+                let outputs = [out.image, out.surfel_image, out.gaussian_colour, out.gaussian_weight];
                 let name = if let [one] = chosen { NAMES[*one] } else { "all" };
                 let of = format!("composite{}.{name}", if detach_transmittance { ".detached" } else { "" });
                 if let [one] = chosen {
@@ -206,7 +243,8 @@ impl<'a> Bench<'a> {
                     (output.clone() * self.upstream(output, 5)).sum()
                 });
                 let gradients = losses.reduce(|sum, loss| sum + loss).expect("an output").backward();
-                self.gradient(&format!("{of}.grad.alpha"), &layers.alpha, &gradients);
+                self.gradient(&format!("{of}.grad.weights"), &weights, &gradients);
+                self.gradient(&format!("{of}.grad.transmittance"), &transmittance, &gradients);
                 self.gradient(&format!("{of}.grad.colours"), &colours, &gradients);
                 self.gradient(&format!("{of}.grad.sums"), &sums, &gradients);
             }
@@ -420,7 +458,8 @@ impl<'a> Bench<'a> {
     /// Runs everything forward, each operation on its own results.
     pub fn reference(mut self) -> Reference {
         let layers = self.peeled();
-        let limits = interval_limits(&layers, &self.surfels.margins, MarginLookup::Shifted).expect("one shape");
+        let Visibility { weights, transmittance, limits } =
+            visibility(&layers, &self.surfels.margins, self.options.peeling).expect("one shape");
         let [surfel_colours, gaussian_colours] = self.colours();
         let camera = &self.scene.camera;
         let sums = splat(&self.gaussians, &gaussian_colours, &limits, camera).expect("valid input");
@@ -429,6 +468,8 @@ impl<'a> Bench<'a> {
             ids: layers.ids.clone().into_data().iter::<i64>().collect(),
             alpha: values(&layers.alpha),
             depth: values(&layers.depth),
+            weights: values(&weights),
+            transmittance: values(&transmittance),
             limits: values(&limits),
             sums: values(&sums),
             surfel_colours: values(&surfel_colours),
@@ -445,15 +486,18 @@ impl<'a> Bench<'a> {
         let layers = self.layers(reference);
         let covered = coverage(&layers, surfels).into_data().iter::<f64>().collect();
         self.found.push(("coverage".into(), covered));
-        for (name, lookup) in [("limits", MarginLookup::Shifted), ("limits.literal", MarginLookup::Literal)] {
-            let limits = interval_limits(&layers, &self.surfels.margins, lookup).expect("one shape");
-            self.note(name, &limits);
-        }
-        let limits = self.tensor(&reference.limits, [layer_count, height, width]);
+        self.visibility(&layers);
+        let planes = |values: &[f64], count: usize| self.tensor(values, [count, height, width]);
+        let limits = planes(&reference.limits, layer_count + 1);
+        let seen = Visibility {
+            weights: planes(&reference.weights, layer_count),
+            transmittance: planes(&reference.transmittance, layer_count + 1),
+            limits: limits.clone(),
+        };
         self.splat(limits, self.tensor(&reference.gaussian_colours, [gaussians, 3]));
         let colours = self.tensor(&reference.surfel_colours, [surfels, 3]);
         let sums = self.tensor(&reference.sums, [layer_count, 4, height, width]);
-        self.composite(&layers, &colours, &sums);
+        self.composite(&layers, &seen, &colours, &sums);
         self.image_operations();
         self.losses(&layers);
         self.batches();

@@ -238,8 +238,8 @@ mod tests {
         let scene = realistic(900, 9_000, 120, 80, 1);
         let (surfels, gaussians) = scene.tensors(&crate::testing::device(), DType::F32);
         let rendered = render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).unwrap();
-        let through = values(&rendered.composite.transmittance);
-        let open = through[3 * 120 * 80..].iter().filter(|&&t| t > 0.5).count();
+        let through = values(&rendered.seen.behind_all());
+        let open = through.iter().filter(|&&t| t > 0.5).count();
         assert!(open < 120 * 80 / 50, "{open} pixels show the background");
         let detailed = values(&rendered.composite.gaussian_weight).iter().filter(|&&w| w > 0.1).count();
         assert!(detailed > 120 * 80 / 2, "{detailed} pixels show Gaussians");

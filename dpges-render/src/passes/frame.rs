@@ -2,9 +2,10 @@
 
 use bytemuck::{Pod, Zeroable};
 use dpges_core::camera::Camera;
-use dpges_core::scene::{ColourModel, EnvironmentData, MarginLookup, Rendering, ScreenFilter};
+use dpges_core::scene::peeling::{ORDER, RAMP};
+use dpges_core::scene::{ColourModel, EnvironmentData, Peeling, Rendering, ScreenFilter};
 
-use crate::options::{RenderOptions, squared_radius};
+use crate::options::RenderOptions;
 use crate::scene::SceneTextures;
 
 /// Coefficients of an environment.
@@ -19,6 +20,7 @@ pub(crate) struct Frame {
     size: [f32; 4],
     background: [f32; 4],
     surfel: [f32; 4],
+    margins: [f32; 4],
     counts: [u32; 4],
     colour: [u32; 4],
     environment: [[f32; 4]; MAX_COEFFICIENTS],
@@ -39,7 +41,8 @@ impl Frame {
             [row.x, row.y, row.z, pose.translation[i]].map(|value| value as f32)
         });
         let [x, y, z] = camera.centre().to_array();
-        let radius = squared_radius(options.footprint, options.modulation);
+        let RenderOptions { footprint, modulation, peeling, .. } = *options;
+        let steepness = if peeling.is_continuous() { footprint.rim_slope(modulation) } else { modulation };
         let model = scene.info.colour_model;
         let (kind, parts) = match model {
             ColourModel::SphericalBeta { lobes } => (0, lobes),
@@ -48,11 +51,12 @@ impl Frame {
             }
         };
         let switched = |bit: u32, on: bool| if on { bit } else { 0 };
-        let all = switched(1, scene.info.margin_lookup == MarginLookup::Literal)
+        let all = switched(1, peeling == Peeling::Literal)
             | switched(2, scene.info.rendering != Rendering::Peeled)
             | switched(4, encode_srgb)
             | switched(8, scene.info.screen_filter == ScreenFilter::Plain)
-            | switched(16, scene.info.max_alpha() < 0.995);
+            | switched(16, scene.info.max_alpha() < 0.995)
+            | switched(32, peeling.is_continuous());
         let [r, g, b] = options.background;
         let narrow = |values: [f64; 4]| values.map(|value| value as f32);
         let grid = scene.surfels.grid;
@@ -66,7 +70,8 @@ impl Frame {
             centre_near: narrow([x, y, z, camera.near]),
             size: narrow([camera.width as f64, camera.height as f64, options.smallest_px, grid.log2_width.into()]),
             background: narrow([r, g, b, scene.environment.len() as f64]),
-            surfel: narrow([options.modulation, radius, depths[0], depths[1]]),
+            surfel: narrow([steepness, footprint.squared_radius(modulation), depths[0], depths[1]]),
+            margins: narrow([if peeling.is_continuous() { ORDER } else { 0.0 }, RAMP, 0.0, 0.0]),
             counts: [
                 scene.surfels.count as u32,
                 scene.gaussians.count as u32,

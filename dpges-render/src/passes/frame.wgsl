@@ -13,8 +13,12 @@ struct Frame {
     size: vec4f,
     // Red, green, blue, number of coefficients of the environment.
     background: vec4f,
-    // w, squared radius of a surfel in σ, depths at the ends of the colour ramp.
+    // Steepness of a surfel's rim: how much opacity falls per σ², or w; squared radius in σ²; depths at the ends of the
+    // colour ramp.
     surfel: vec4f,
+    // Depths within which two surfels have no certain order, 0 in strict order, and over which a Gaussian fades behind a layer,
+    // in margins.
+    margins: vec4f,
     // Surfels, Gaussians, K, display.
     counts: vec4u,
     // Texels per colour, kind of colour (0 lobes, 1 harmonics), lobes or coefficients, switches.
@@ -24,6 +28,8 @@ struct Frame {
 }
 
 const LITERAL_LOOKUP: u32 = 1u;
+// Rims end at 0, layers mix, Gaussians fade.
+const CONTINUOUS: u32 = 32u;
 const CLAMP_COLOURS: u32 = 2u;
 const ENCODE_SRGB: u32 = 4u;
 const PLAIN_FILTER: u32 = 8u;

@@ -6,10 +6,10 @@
 //! |---|---|---|
 //! | [`colours`] | packed surfels | colour of every surfel from this camera |
 //! | [`project`] | packed Gaussians | ellipse and colour of every Gaussian |
-//! | [`peel`], with a backstop | surfels | core: nearest opaque fragment, by the depth test |
-//! | [`peel`], K times | surfels, previous layer, core | nearest fragment behind the one and before the other |
-//! | [`resolve`] | layers | C_s; interval ends and transmittances; the depth that hides |
-//! | [`splat`] | ellipses, intervals | sums of weighted colours and weights, additively |
+//! | [`peel`], once if peeling is continuous | surfels | core: nearest opaque fragment, by the depth test |
+//! | [`peel`], once for each other layer | surfels, previous layer, core | nearest fragment behind the one and up to the other |
+//! | [`resolve`] | layers | C_s; tests of Gaussians and transmittances; the depth that hides |
+//! | [`splat`] | ellipses, tests | sums of weighted colours and weights, additively |
 //! | [`sorted`] | ellipses or discs, an order | blended colours: scenes that are not peeled |
 //! | [`present`] | C_s, sums | the picture |
 
@@ -60,12 +60,12 @@ pub(crate) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba1
 pub(crate) const RECORD_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
 /// 32-bit floats as bits: every device can draw into integers, not every one into 32-bit floats.
 pub(crate) const INTERVAL_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Uint;
-pub(crate) const THIRD_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
+pub(crate) const THROUGH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Uint;
 pub(crate) const ORDER_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
 /// Formats of textures that are drawn into and read, apart from sums.
 pub(crate) const DRAWN_FORMATS: [wgpu::TextureFormat; 6] =
-    [LAYER_FORMAT, OPACITY_FORMAT, COLOUR_FORMAT, RECORD_FORMAT, INTERVAL_FORMAT, THIRD_FORMAT];
+    [LAYER_FORMAT, OPACITY_FORMAT, COLOUR_FORMAT, RECORD_FORMAT, INTERVAL_FORMAT, THROUGH_FORMAT];
 
 #[derive(Debug)]
 pub(crate) struct Passes {

@@ -1,5 +1,5 @@
-//! The layers: the nearest fragments of surfels, one pass each. With a backstop, a pass before them finds the cores, which
-//! are the nearest opaque fragments.
+//! The layers: the nearest fragments of surfels, one pass each. With continuous peeling, a pass before them finds the cores,
+//! which are the nearest opaque fragments, and the others are peeled beside them.
 
 use super::pipeline::{ADDITIVE, Depth, Stage};
 use super::{FLOAT, Fading, Kit, LAYER_FORMAT, OPACITY_FORMAT, UINT};
@@ -17,14 +17,13 @@ pub(crate) fn shader(depths: DepthSource, fading: Fading) -> String {
 pub(crate) struct PeelPass {
     pub layout: wgpu::BindGroupLayout,
     pub core: wgpu::RenderPipeline,
-    /// Nearest fragments, of all or of those before the core: in the first layer, and behind the previous one.
+    /// Nearest fragments, of all or of those that are not the core: in the first layer, and behind the previous one.
     first: [wgpu::RenderPipeline; 2],
     next: [wgpu::RenderPipeline; 2],
-    /// Closes pixels that have no next layer.
+    /// Closes pixels that have no next layer; beside cores, also ends those that have one behind the core.
     close: wgpu::RenderPipeline,
-    /// Starts a layer with the cores, and closes pixels that have no such layer; in the last, closes those with a core.
-    start_first: [wgpu::RenderPipeline; 2],
-    start_next: [wgpu::RenderPipeline; 2],
+    start_first: wgpu::RenderPipeline,
+    start_next: wgpu::RenderPipeline,
     pub count: wgpu::RenderPipeline,
 }
 
@@ -36,16 +35,14 @@ impl PeelPass {
         let whole = Stage { depth: Depth::Write, ..Stage::over(&layer) };
         let surfels = Stage { depth: Depth::Nearest, quads: true, ..whole };
         let quads = |fragment| program.pipeline(&Stage { fragment, ..surfels });
-        let start = |fragment| {
-            ["open_vertex", "close_vertex"].map(|vertex| program.pipeline(&Stage { vertex, fragment, ..whole }))
-        };
+        let start = |fragment| program.pipeline(&Stage { vertex: "open_vertex", fragment, writes: false, ..whole });
         let core = Stage { vertex: "core_vertex", fragment: "core", targets: &layer[..1], ..surfels };
         let close = Stage { vertex: "close_vertex", fragment: "close", writes: false, ..whole };
         let count = Stage { fragment: "count", quads: true, ..Stage::over(&sums) };
         Self {
             core: program.pipeline(&core),
-            first: ["first", "first_before_core"].map(quads),
-            next: ["next", "next_before_core"].map(quads),
+            first: ["first", "first_other"].map(quads),
+            next: ["next", "next_other"].map(quads),
             close: program.pipeline(&close),
             start_first: start("start_first"),
             start_next: start("start_next"),
@@ -55,16 +52,16 @@ impl PeelPass {
     }
 
     /// The pipeline that draws over the whole picture before the surfels of layer `k`, if any, and the pipeline of
-    /// these surfels. In the last layer, surfels come only where there is no core.
+    /// these surfels.
     pub fn of(&self, k: usize, options: &RenderOptions) -> (Option<&wgpu::RenderPipeline>, &wgpu::RenderPipeline) {
-        let is_last = k + 1 == options.layer_count;
-        let before = match (options.backstop, k) {
+        let continuous = options.peeling.is_continuous();
+        let before = match (continuous, k) {
             (false, 0) => None,
             (false, _) => Some(&self.close),
-            (true, 0) => Some(&self.start_first[usize::from(is_last)]),
-            (true, _) => Some(&self.start_next[usize::from(is_last)]),
+            (true, 0) => Some(&self.start_first),
+            (true, _) => Some(&self.start_next),
         };
         let pipelines = if k == 0 { &self.first } else { &self.next };
-        (before, &pipelines[usize::from(options.backstop && !is_last)])
+        (before, &pipelines[usize::from(continuous)])
     }
 }

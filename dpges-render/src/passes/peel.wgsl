@@ -4,8 +4,8 @@
 // the smallest in the second. `Layer` and `depth_of` are those of `depth_rasterised` or of `depth_computed`,
 // `fade_of` that of `fade_whole` or of `fade_paged`: it changes the size.
 //
-// With a backstop, the cores come first: the nearest opaque fragments, as layers. Each peel starts with them, so that
-// the depth test ends what is behind; rims before them take their place.
+// With continuous peeling, the cores come first: the nearest opaque fragments, as layers. The others are peeled from the
+// fragments up to a little behind them, which the depth test ends.
 
 @group(1) @binding(0) var places: texture_2d<f32>;
 @group(1) @binding(1) var forms: texture_2d<u32>;
@@ -42,7 +42,7 @@ fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -
 // A corner of the opaque part of a disc.
 @vertex
 fn core_vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -> Corner {
-    return corner_of_disc(at, index, min(2.0 * log(max(frame.surfel.x, 1.0)), frame.surfel.y));
+    return corner_of_disc(at, index, max(frame.surfel.y - 1.0 / frame.surfel.x, 0.0));
 }
 
 // A corner of the disc up to a squared radius in σ.
@@ -96,7 +96,8 @@ fn squared_radius(corner: Corner) -> f32 {
 }
 
 fn opacity_at(squared: f32) -> f32 {
-    return min(1.0, frame.surfel.x * exp(-0.5 * squared));
+    let end = frame.surfel.y - squared;
+    return min(1.0, frame.surfel.x * select(exp(-0.5 * squared), end, switched(CONTINUOUS)));
 }
 
 fn layer_of(corner: Corner, squared: f32) -> Layer {
@@ -108,7 +109,7 @@ fn layer_of(corner: Corner, squared: f32) -> Layer {
 
 // Also for an edge-on disc, which no ray meets.
 fn outside(squared: f32) -> bool {
-    return !(squared <= frame.surfel.y);
+    return !(squared < frame.surfel.y);
 }
 
 fn is_behind_previous(corner: Corner) -> bool {
@@ -116,16 +117,11 @@ fn is_behind_previous(corner: Corner) -> bool {
     let depth = depth_of(corner);
     let depth_before = bitcast<f32>(before.x);
     let behind = depth < depth_before || (depth == depth_before && corner.index > (before.y & ~OPAQUE));
-    return behind && before.y < OPAQUE;
+    return behind && before.y != NOTHING;
 }
 
-// The core itself may come out nearer than it is: the corners of its quads differ.
-fn is_before_core(corner: Corner) -> bool {
-    let core = textureLoad(cores, vec2u(corner.position.xy), 0).xy;
-    let depth = depth_of(corner);
-    let core_depth = bitcast<f32>(core.x);
-    let index = core.y & ~OPAQUE;
-    return (depth > core_depth && corner.index != index) || (depth == core_depth && corner.index < index);
+fn is_core(corner: Corner) -> bool {
+    return (textureLoad(cores, vec2u(corner.position.xy), 0).y & ~OPAQUE) == corner.index;
 }
 
 @fragment
@@ -150,25 +146,26 @@ fn first(corner: Corner) -> Layer {
 @fragment
 fn next(corner: Corner) -> Layer {
     let squared = squared_radius(corner);
-    if outside(squared) || !is_behind_previous(corner) {
+    let before = textureLoad(previous, vec2u(corner.position.xy), 0).y;
+    if outside(squared) || before >= OPAQUE || !is_behind_previous(corner) {
         discard;
     }
     return layer_of(corner, squared);
 }
 
 @fragment
-fn first_before_core(corner: Corner) -> Layer {
+fn first_other(corner: Corner) -> Layer {
     let squared = squared_radius(corner);
-    if outside(squared) || !is_before_core(corner) {
+    if outside(squared) || is_core(corner) {
         discard;
     }
     return layer_of(corner, squared);
 }
 
 @fragment
-fn next_before_core(corner: Corner) -> Layer {
+fn next_other(corner: Corner) -> Layer {
     let squared = squared_radius(corner);
-    if outside(squared) || !is_before_core(corner) || !is_behind_previous(corner) {
+    if outside(squared) || is_core(corner) || !is_behind_previous(corner) {
         discard;
     }
     return layer_of(corner, squared);
@@ -195,38 +192,35 @@ struct Start {
     @builtin(frag_depth) depth: f32,
 }
 
-// Before a layer, with a backstop: the core is the layer unless a rim before it comes. Fragments at its depth pass the
-// depth test, because their indices decide.
+// Before a layer that is peeled beside the cores: the depth test ends what is too far behind a core to be seen.
 @vertex
 fn open_vertex(@builtin(vertex_index) at: u32) -> @builtin(position) vec4f {
     return everywhere(at, 0.0);
 }
 
-// With `close_vertex` no rim comes: this is the last layer.
-fn start_with(core: vec2u, depth: f32) -> Start {
-    return Start(core, 1.0, max(depth, bitcast<f32>(core.x - 1u)));
+// near / z up to which fragments are layers; 0 without a core.
+fn end_of_layers(at: vec2u) -> f32 {
+    let core = textureLoad(cores, at, 0).xy;
+    if core.y == NOTHING {
+        return 0.0;
+    }
+    let near = frame.centre_near.w;
+    let margin = textureLoad(places, texel(core.y & ~OPAQUE), 0).w;
+    let end = near / (near / bitcast<f32>(core.x) + frame.margins.x * margin);
+    // fragments at this depth pass
+    return bitcast<f32>(bitcast<u32>(end) - 1u);
 }
 
 @fragment
 fn start_first(@builtin(position) position: vec4f) -> Start {
-    let core = textureLoad(cores, vec2u(position.xy), 0).xy;
-    if core.y == NOTHING {
-        discard;
-    }
-    return start_with(core, position.z);
+    return Start(vec2u(0u), 0.0, max(position.z, end_of_layers(vec2u(position.xy))));
 }
 
 @fragment
 fn start_next(@builtin(position) position: vec4f) -> Start {
     let at = vec2u(position.xy);
-    if textureLoad(previous, at, 0).y >= OPAQUE {
-        return Start(vec2u(0u, NOTHING), 0.0, 1.0);
-    }
-    let core = textureLoad(cores, at, 0).xy;
-    if core.y == NOTHING {
-        discard;
-    }
-    return start_with(core, position.z);
+    let closed = textureLoad(previous, at, 0).y == NOTHING;
+    return Start(vec2u(0u), 0.0, max(position.z, select(end_of_layers(at), 1.0, closed)));
 }
 
 // Counts fragments of surfels.

@@ -2,6 +2,7 @@
 
 use super::pipeline::Stage;
 use super::{FLOAT, Kit, UINT};
+use crate::options::MAX_LAYERS;
 
 pub(crate) const SHADER: &str = concat!(
     include_str!("frame.wgsl"),
@@ -23,7 +24,7 @@ pub(crate) struct PresentPass {
 
 impl PresentPass {
     pub fn new(kit: &Kit, format: wgpu::TextureFormat) -> Self {
-        let program = kit.program("present", SHADER, &[FLOAT, FLOAT, FLOAT, UINT, UINT, UINT, UINT, UINT]);
+        let program = kit.program("present", SHADER, &[&[FLOAT; 3][..], &[UINT; MAX_LAYERS + 2]].concat());
         let pipeline = |fragment| program.pipeline(&Stage { fragment, ..Stage::over(&[(format, None)]) });
         Self {
             image: pipeline("image"),

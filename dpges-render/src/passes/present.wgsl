@@ -7,7 +7,9 @@
 @group(1) @binding(4) var layer_2: texture_2d<u32>;
 @group(1) @binding(5) var layer_3: texture_2d<u32>;
 @group(1) @binding(6) var layer_4: texture_2d<u32>;
-@group(1) @binding(7) var forms: texture_2d<u32>;
+@group(1) @binding(7) var layer_5: texture_2d<u32>;
+@group(1) @binding(8) var cores: texture_2d<u32>;
+@group(1) @binding(9) var forms: texture_2d<u32>;
 
 // Fragments at the end of the ramp of overdraw.
 const MOST_FRAGMENTS: f32 = 64.0;
@@ -39,7 +41,10 @@ fn shown(position: vec4f) -> vec3f {
     let at = vec2u(position.xy);
     let surfel = textureLoad(surfels, at, 0);
     let sum = textureLoad(sums, at, 0);
-    let nearest = textureLoad(layer_1, at, 0).xy;
+    let core = select(vec2u(0u, NOTHING), textureLoad(cores, at, 0).xy, switched(CONTINUOUS));
+    let first = textureLoad(layer_1, at, 0).xy;
+    // what is missing is infinitely far
+    let nearest = select(first, core, bitcast<f32>(core.x) > bitcast<f32>(first.x));
     let empty = nearest.y == NOTHING;
     switch frame.counts.w {
         case 1u: { return surfel.rgb; }
@@ -56,10 +61,12 @@ fn shown(position: vec4f) -> vec3f {
         case 5u: { return select(0.5 + 0.5 * normal_of(nearest, position.xy), vec3f(0.5), empty); }
         case 6u: {
             var present = 0.0;
-            present += select(0.0, 1.0, !empty);
+            present += select(0.0, 1.0, core.y != NOTHING);
+            present += select(0.0, 1.0, first.y != NOTHING);
             present += select(0.0, 1.0, textureLoad(layer_2, at, 0).y != NOTHING);
             present += select(0.0, 1.0, textureLoad(layer_3, at, 0).y != NOTHING);
             present += select(0.0, 1.0, textureLoad(layer_4, at, 0).y != NOTHING);
+            present += select(0.0, 1.0, textureLoad(layer_5, at, 0).y != NOTHING);
             return ramp(present / f32(frame.counts.z));
         }
         default: { return ramp(sum.a / MOST_FRAGMENTS); }

@@ -2,6 +2,7 @@
 
 use super::pipeline::{ADDITIVE, Depth, Stage};
 use super::{Fading, Kit, UINT};
+use crate::options::RenderOptions;
 
 pub(crate) fn shader(fading: Fading) -> String {
     [include_str!("frame.wgsl"), include_str!("ellipse.wgsl"), fading.shader(), include_str!("splat.wgsl")].concat()
@@ -11,8 +12,8 @@ pub(crate) fn shader(fading: Fading) -> String {
 pub(crate) struct SplatPass {
     pub layout: wgpu::BindGroupLayout,
     one_layer: wgpu::RenderPipeline,
-    three_layers: wgpu::RenderPipeline,
-    four_layers: wgpu::RenderPipeline,
+    faded: wgpu::RenderPipeline,
+    stepped: wgpu::RenderPipeline,
     pub count: wgpu::RenderPipeline,
 }
 
@@ -24,18 +25,19 @@ impl SplatPass {
         let pipeline = |fragment| program.pipeline(&Stage { fragment, ..stage });
         Self {
             one_layer: pipeline("one_layer"),
-            three_layers: pipeline("three_layers"),
-            four_layers: pipeline("four_layers"),
+            faded: pipeline("faded"),
+            stepped: pipeline("stepped"),
             count: pipeline("count"),
             layout: program.layout,
         }
     }
 
-    pub fn of(&self, layers: usize) -> &wgpu::RenderPipeline {
-        match layers {
+    /// One layer of strict order hides by the depth test alone.
+    pub fn of(&self, options: &RenderOptions) -> &wgpu::RenderPipeline {
+        match options.layer_count {
+            _ if options.peeling.is_continuous() => &self.faded,
             1 => &self.one_layer,
-            2 | 3 => &self.three_layers,
-            _ => &self.four_layers,
+            _ => &self.stepped,
         }
     }
 }

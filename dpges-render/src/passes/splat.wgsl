@@ -6,13 +6,13 @@
 @group(1) @binding(0) var firsts: texture_2d<u32>;
 @group(1) @binding(1) var seconds: texture_2d<u32>;
 @group(1) @binding(2) var intervals: texture_2d<u32>;
-@group(1) @binding(3) var thirds: texture_2d<u32>;
+@group(1) @binding(3) var throughs: texture_2d<u32>;
 
 struct Corner {
     @builtin(position) position: vec4f,
     @location(0) @interpolate(flat, either) colour_strength: vec4f,
     @location(1) @interpolate(flat, either) inverse: vec4f,
-    // centre in px, depth, fade
+    // centre in px, depth in world units, fade
     @location(2) @interpolate(flat, either) place: vec4f,
 }
 
@@ -28,7 +28,7 @@ fn vertex(@builtin(vertex_index) at: u32, @builtin(instance_index) index: u32) -
     corner.colour_strength = ellipse.colour_strength;
     let depth = bitcast<f32>(first.z);
     corner.inverse = ellipse.inverse;
-    corner.place = vec4f(ellipse.centre, depth, fade_of(index));
+    corner.place = vec4f(ellipse.centre, frame.centre_near.w / depth, fade_of(index));
     corner.position = at_px(ellipse.place, depth);
     return corner;
 }
@@ -46,33 +46,50 @@ fn one_layer(corner: Corner) -> @location(0) vec4f {
     return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * corner.place.w);
 }
 
-fn through(corner: Corner) -> f32 {
-    let packed = bitcast<vec4f>(textureLoad(intervals, vec2u(corner.position.xy), 0));
-    // in front of the first layer, of the second, behind both
-    return select(select(packed.w, packed.z, corner.place.z > packed.y), 1.0, corner.place.z > packed.x);
+// T_1 to T_4.
+fn through(at: vec2u) -> vec4f {
+    let packed = textureLoad(throughs, at, 0).xy;
+    return vec4f(unpack2x16unorm(packed.x), unpack2x16unorm(packed.y));
 }
 
-@fragment
-fn three_layers(corner: Corner) -> @location(0) vec4f {
-    let alpha = weight(corner);
-    if alpha < CUTOFF {
-        discard;
-    }
-    return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * corner.place.w * through(corner));
-}
-
-@fragment
-fn four_layers(corner: Corner) -> @location(0) vec4f {
-    let alpha = weight(corner);
-    if alpha < CUTOFF {
-        discard;
-    }
-    var share = through(corner);
+// What reaches the eye of a Gaussian: T of each interval times its share there. The end of the first ramp and the slope of
+// all are followed by how far the other ends lie behind the first, in lengths of a ramp.
+fn faded_share(corner: Corner) -> f32 {
     let at = vec2u(corner.position.xy);
-    let third = bitcast<vec2f>(textureLoad(thirds, at, 0).xy);
-    if corner.place.z <= bitcast<f32>(textureLoad(intervals, at, 0).y) && corner.place.z <= third.x {
-        share = third.y;
+    let tests = textureLoad(intervals, at, 0);
+    let behind = (corner.place.z - bitcast<f32>(tests.x)) * bitcast<f32>(tests.y);
+    if behind <= -1.0 {
+        return 1.0;
     }
+    let ends = vec4f(unpack2x16float(tests.z), unpack2x16float(tests.w));
+    let first = saturate(-behind);
+    let before = saturate(ends - behind);
+    return first + dot(through(at), before - vec4f(first, before.xyz));
+}
+
+@fragment
+fn faded(corner: Corner) -> @location(0) vec4f {
+    let alpha = weight(corner);
+    if alpha < CUTOFF {
+        discard;
+    }
+    return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * corner.place.w * faded_share(corner));
+}
+
+// T of the interval of a Gaussian, whose ends are depths.
+@fragment
+fn stepped(corner: Corner) -> @location(0) vec4f {
+    let alpha = weight(corner);
+    if alpha < CUTOFF {
+        discard;
+    }
+    let at = vec2u(corner.position.xy);
+    let passed = vec4f(corner.place.z) >= bitcast<vec4f>(textureLoad(intervals, at, 0));
+    let behind = through(at);
+    var share = select(1.0, behind.x, passed.x);
+    share = select(share, behind.y, passed.y);
+    share = select(share, behind.z, passed.z);
+    share = select(share, behind.w, passed.w);
     return vec4f(corner.colour_strength.rgb, 1.0) * (alpha * corner.place.w * share);
 }
 

@@ -3,9 +3,9 @@
 use std::f64::consts::TAU;
 
 use dpges_core::camera::{Camera, CameraFromWorld};
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
-use super::{CameraPath, PathError};
+use super::{CameraPath, PathError, pose};
 use crate::percentile::percentiles;
 use crate::up::Up;
 
@@ -85,6 +85,25 @@ impl CameraPath {
         Self::new((0..KEYS).map(key).collect(), true)
     }
 
+    /// The first of `cameras`, turned by `angle` rad in `steps` equal steps about what they look at, and about what is
+    /// `up`; `None` unless they look at one place: nine of ten have it in front of them.
+    pub fn arc(cameras: &[Camera], up: Up, angle: f64, steps: usize) -> Option<Vec<Camera>> {
+        let first = cameras.first()?;
+        let around = Surroundings::new(cameras, up);
+        let is_seen = |camera: &Camera| {
+            let forward = camera.camera_from_world.rotation.row(2);
+            (around.focus - camera.centre()).dot(forward) > 0.0
+        };
+        let turned = |step: usize| {
+            let turn = DQuat::from_axis_angle(around.up, angle * step as f64 / steps as f64);
+            let centre = around.focus + turn * (first.centre() - around.focus);
+            let world_from_camera = turn * DQuat::from_mat3(&first.camera_from_world.rotation.transpose());
+            Camera { camera_from_world: pose(centre, world_from_camera), ..*first }
+        };
+        let seeing = cameras.iter().filter(|camera| is_seen(camera)).count();
+        (10 * seeing >= 9 * cameras.len()).then(|| (0..=steps).map(turned).collect())
+    }
+
     /// Two small turns about the middle of `cameras`, nearer and further, with a look at what they look at: for scenes
     /// that face one way.
     ///
@@ -135,6 +154,25 @@ mod tests {
             let (x, y, _) = frame.project(DVec3::ZERO).unwrap();
             assert!((x - 32.0).abs() < 0.2 && (y - 24.0).abs() < 0.2, "{x} {y}");
         }
+    }
+
+    #[test]
+    fn an_arc_keeps_its_distance_from_what_is_looked_at() {
+        let path = CameraPath::arc(&ring(), Up::Z, 0.1, 8).unwrap();
+        assert_eq!(path.len(), 9);
+        assert!((path[0].centre() - ring()[0].centre()).length() < 1e-9);
+        for pair in path.windows(2) {
+            let step = pair[0].centre().distance(pair[1].centre());
+            assert!((step - 2.0 * 3.0 * (0.1f64 / 16.0).sin()).abs() < 1e-6, "{step}");
+            let (x, y, depth) = pair[1].project(DVec3::ZERO).unwrap();
+            let (x0, y0, depth0) = path[0].project(DVec3::ZERO).unwrap();
+            assert!((x - x0).abs() < 1e-6 && (y - y0).abs() < 1e-6 && (depth - depth0).abs() < 1e-9);
+        }
+        let away = |camera: Camera| {
+            let eye = camera.centre();
+            Camera { camera_from_world: CameraFromWorld::look_at(eye, 2.0 * eye, DVec3::Z), ..camera }
+        };
+        assert!(CameraPath::arc(&ring().into_iter().map(away).collect::<Vec<_>>(), Up::Z, 0.1, 8).is_none());
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use dpges_core::camera::CameraFromWorld;
-use dpges_core::scene::{Rendering, SceneData, SceneInfo};
+use dpges_core::scene::{Peeling, Rendering, SceneData, SceneInfo};
 use egui::Key;
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
@@ -133,11 +133,10 @@ fn the_options_are_those_of_the_scene_until_the_panel_changes_them() {
     press(&mut harness, Key::Num5);
     assert_eq!(harness.state().state.options.display, Display::Depth);
     harness.state_mut().state.options.layer_count = 4;
-    click(&mut harness, "backstop");
-    assert!(harness.state().state.options.backstop);
+    harness.state_mut().state.options.peeling = Peeling::Nearest;
     click(&mut harness, "As trained");
     let options = harness.state().state.options;
-    assert_eq!((options.layer_count, options.backstop, options.display), (2, false, Display::Depth));
+    assert_eq!((options.layer_count, options.peeling, options.display), (2, Peeling::Continuous, Display::Depth));
 }
 
 #[test]

@@ -216,7 +216,7 @@ function view() {
     display: settings.display.value,
     layer_count: Number(settings.layers.value),
     modulation,
-    backstop: settings.backstop.checked,
+    peeling: settings.peeling.value,
     background,
   };
   return [camera.entry(px(canvas.clientWidth), px(canvas.clientHeight)), options];
@@ -297,11 +297,11 @@ function fillSettings() {
   settings.layers.value = parameter("k") ?? scene.layer_count;
   modulation = Number(parameter("w")) > 0 ? Number(parameter("w")) : scene.modulation;
   settings.hardness.value = Math.log10(modulation);
-  settings.backstop.checked = parameter("backstop") ? parameter("backstop") !== "0" : scene.backstop;
+  settings.peeling.value = parameter("peeling") ?? scene.peeling;
   settings.background.value = /^[0-9a-f]{6}$/i.test(background) ? `#${background}` : `#${scene.background.map(hex).join("")}`;
   settings.scale.value = parameter("scale") ?? "1";
   settings.up.value = parameter("up") ?? "";
-  for (const select of [settings.display, settings.scale, settings.up]) {
+  for (const select of [settings.display, settings.peeling, settings.scale, settings.up]) {
     if (select.selectedIndex < 0 || select.selectedOptions[0].disabled) select.selectedIndex = 0;
   }
 }

@@ -1,7 +1,7 @@
 //! Messages from and to the page, as JSON: cameras, options, properties of a scene.
 
 use dpges_core::camera::{Camera, CameraFromWorld};
-use dpges_core::scene::SceneInfo;
+use dpges_core::scene::{Peeling, SceneInfo};
 use dpges_render::{Display, RenderOptions};
 use serde::{Deserialize, Serialize};
 
@@ -50,15 +50,15 @@ pub struct PageOptions {
     display: Display,
     layer_count: usize,
     modulation: f64,
-    backstop: bool,
+    peeling: Peeling,
     /// Red, green, blue from 0 to 1.
     background: [f64; 3],
 }
 
 impl PageOptions {
     pub fn options(&self, scene: &SceneInfo) -> RenderOptions {
-        let Self { display, layer_count, modulation, backstop, background } = *self;
-        RenderOptions { display, layer_count, modulation, backstop, background, ..RenderOptions::from(scene) }
+        let Self { display, layer_count, modulation, peeling, background } = *self;
+        RenderOptions { display, layer_count, modulation, peeling, background, ..RenderOptions::from(scene) }
     }
 }
 

@@ -7,7 +7,7 @@ use clap::Args;
 use dpges_train::device::DeviceName;
 use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::eval::pictures::{file_stems, save_png};
-use dpges_train::eval::popping::{Measured, arc};
+use dpges_train::eval::popping::Measured;
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::eval::worst;
 use dpges_train::eval::{EvalReport, FrameMs, Measures, evaluate_each};
@@ -50,7 +50,8 @@ pub struct EvalArgs {
     #[arg(long, value_name = "DIR")]
     worst: Option<PathBuf>,
     /// Also measure popping: FLIP between frames of a short path that are 1 and 7 apart, where the motion of the camera does
-    /// not explain it. Renders 60 frames
+    /// not explain it; and jumps: how often a pixel changes by more than 8 and 16 of 256 levels from one frame to the next
+    /// along an arc of 6° in small steps. Renders 60 frames and up to 1,920
     #[arg(long)]
     popping: bool,
     /// Also measure the frame times of the real-time renderer, over up to 16 of the views at the size of the first. Of scenes
@@ -78,7 +79,6 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     let choice = args.views.choice();
     let (source, dataset) = choice.load_dataset(&mut scene)?;
     let views = choice.chosen(&dataset);
-    let path = args.popping.then(|| arc(&dataset, &scene.data.info)).transpose()?;
     let stems = file_stems(views.iter().map(|view| &*view.name));
     let renderer = Renderer::new(&scene.data, &device);
     let fitted = args.fit_exposure || scene.has_exposure();
@@ -87,10 +87,7 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
         let Some(folder) = &args.save_images else { return Ok(()) };
         save_png(&to_picture(render.image()), &folder.join(format!("{}.png", stems[index])))
     })?;
-    let popping = match &path {
-        Some(path) => Measured::along(&renderer, path)?,
-        None => None,
-    };
+    let popping = if args.popping { Measured::of_scene(&renderer, &dataset, &scene.data.info)? } else { None };
     let mut worst = Vec::new();
     if let Some(folder) = &args.worst {
         worst.extend(worst::write(folder, &evaluation, views, &renderer)?);

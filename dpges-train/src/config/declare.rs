@@ -1,7 +1,7 @@
 //! How keys are declared. One declaration gives the field of a section with its documentation, its default, its range
 //! check, its ablations, and its entry in [`SECTIONS`](super::SECTIONS), which help texts and documents are made from.
 
-use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation, Transparency};
+use dpges_core::scene::{ColourModel, DepthWeight, Footprint, OpacityActivation, Peeling, Transparency};
 
 /// A section of the configuration, such as `[train]`.
 #[derive(Debug)]
@@ -162,9 +162,10 @@ value!(
     "sigmoid" => "It is the logistic function of that number: below 1 (3DGS)."
 );
 value!(
-    MarginLookup, "a string", toml::Value::is_str,
-    "shifted" => "Layer depths plus margins.",
-    "literal" => "Layer depths alone, as the paper's formula reads."
+    Peeling, "a string", toml::Value::is_str,
+    "continuous" => "The nearest opaque surfel and the `layers` − 1 nearest others. Nothing jumps when the camera moves.",
+    "nearest" => "The `layers` nearest surfels, opaque or not, in strict order (DP-GES).",
+    "literal" => "The same; Gaussians are compared with bare depths, without margins, as the paper's formula reads."
 );
 
 value!(

@@ -3,7 +3,7 @@
 //! Documents that repeat them are made from this file; `dpges-train/tests/documents.rs` says how.
 
 use dpges_core::ops::peel::MAX_LAYERS;
-use dpges_core::scene::{ColourModel, DepthWeight, Footprint, MarginLookup, OpacityActivation, Transparency};
+use dpges_core::scene::{ColourModel, DepthWeight, Footprint, OpacityActivation, Peeling, Transparency};
 
 use super::budget::Budget;
 use super::choices::{
@@ -71,7 +71,7 @@ configuration! {
             ablation: "no-surfel-loss" = "0" ("Without the loss of the surfels rendered alone");
         /// λ2: weight of the scale loss (DP-GES: 5e-5 for unbounded and 1e-5 for bounded scenes).
         lambda_scale: f64 = 1e-5, range: 0.0.., ablation: "no-scale-loss" = "0" ("Without the scale loss");
-        /// λ3: weight of the transmittance loss (DP-GES: 0.08), which a backstop does without.
+        /// λ3: weight of the transmittance loss (DP-GES: 0.08), which continuous peeling does without.
         lambda_transmittance: f64 = 0.0, range: 0.0..,
             ablation: "no-transmittance-loss" = "0" ("Without the transmittance loss"),
             ablation: "transmittance-loss" = "0.08" ("With the transmittance loss");
@@ -131,8 +131,9 @@ configuration! {
         colour: ColourModel = ColourModel::SphericalBeta { lobes: 2 },
             ablation: "sh" = "sh3" ("Replace spherical Beta lobes by spherical harmonics of degree 3");
         /// K: number of surfels peeled per pixel (DP-GES).
-        layers: usize = 3, range: 1..=MAX_LAYERS,
-            ablation: "layers-2" = "2" ("Peel two layers"), ablation: "layers-4" = "4" ("Peel four layers");
+        layers: usize = 5, range: 1..=MAX_LAYERS,
+            ablation: "layers-2" = "2" ("Peel two layers"), ablation: "layers-3" = "3" ("Peel three layers"),
+            ablation: "layers-4" = "4" ("Peel four layers");
         /// w: steepness of a surfel's rim. Its opacity is min(1, w G), where G is its Gaussian kernel (DP-GES: 30,
         /// GES: 255). A single layer needs hard rims: nothing shows behind soft ones, so surfels grow over the picture.
         modulation: f64 = 30.0, range: POSITIVE, ablation: "modulation-60" = "60" ("Make rims of surfels twice as steep");
@@ -142,14 +143,12 @@ configuration! {
         /// Where a surfel is cut off.
         footprint: Footprint = Footprint::Kernel,
             ablation: "opacity-footprint" = "opacity" ("Cut surfels off by opacity instead of kernel value");
-        /// Make the nearest opaque surfel of a pixel its last layer, however many rims lie before it (DP-GES: false).
-        backstop: bool = true,
-            ablation: "no-backstop" = "false" ("Peel the nearest surfels only, opaque or not");
+        /// Which surfels of a pixel are its layers, and how they hide each other and Gaussians. The scene file keeps it.
+        peeling: Peeling = Peeling::Continuous,
+            ablation: "nearest-layers" = "nearest" ("Peel the nearest surfels, opaque or not, in strict order"),
+            ablation: "literal-lookup" = "literal" ("The same, and look the transmittance up without margins");
         /// Which scales the depth margin of a surfel is computed from.
         margin: Margin = Margin::Median, ablation: "raw-margin" = "raw" ("Compute margins from a surfel's own scales");
-        /// Which depths a Gaussian's depth is compared with to find its transmittance. The scene file keeps it.
-        margin_lookup: MarginLookup = MarginLookup::Shifted,
-            ablation: "literal-lookup" = "literal" ("Look the transmittance up without margins");
         /// Colour behind all surfels and Gaussians, in the direction of a pixel.
         environment: Environment = Environment::Auto,
             ablation: "no-environment" = "none" ("Without an environment, if the run has one");

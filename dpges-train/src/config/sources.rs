@@ -209,7 +209,7 @@ mod tests {
     use super::*;
     use crate::config::stages::{REFERENCE_STEPS, STAGE_STEPS};
     use crate::config::{Background, InitMethod, Margin};
-    use dpges_core::scene::MarginLookup;
+    use dpges_core::scene::Peeling;
 
     fn message(result: Result<Config, ConfigError>) -> String {
         result.unwrap_err().to_string()
@@ -258,8 +258,8 @@ mod tests {
     const RECIPE: &str = "
 train = { method = 'dpges', steps = 65000, lambda_dssim = 0.2, lambda_surfel = 0.01, lambda_transmittance = 0.08, \
 lambda_opacity = 0.0, lambda_gaussian_scale = 0.0, lambda_sky = 0.0, dropout = 0.0, detach_transmittance = false, freeze_surfels = false }
-model = { colour = 'sb2', layers = 3, modulation = 30.0, backstop = false, opacity = 'linear', footprint = 'kernel', \
-margin = 'median', margin_lookup = 'shifted', environment = 'none', sampling_limit = 0.0 }
+model = { colour = 'sb2', layers = 3, modulation = 30.0, opacity = 'linear', footprint = 'kernel', \
+peeling = 'nearest', margin = 'median', environment = 'none', sampling_limit = 0.0 }
 init = { limit_scales = false }
 stages = { surfels = 0.30769231, gaussians = 0.30769231, gaussians_by = 'dbs', surfel_opacity = 0.8, surfel_scale = 1.0, \
 surfel_budget = 0, gaussian_budget = 0.8, joint_opacity = 'kept', position_share = 0.66666667 }
@@ -297,7 +297,7 @@ add_from = 3000, add_until = 13000, new_gaussians = 'black', split_every = 2000,
 train = { lambda_dssim = 0.2, lambda_surfel = 0.0, lambda_scale = 0.0, lambda_transmittance = 0.0, lambda_sky = 0.0, \
 lambda_opacity = 0.0, freeze_surfels = true }
 model = { colour = 'sh3', layers = 1, modulation = 255.0, margin = 'raw', opacity = 'linear', footprint = 'kernel', \
-margin_lookup = 'shifted', environment = 'none', sampling_limit = 0.0 }
+peeling = 'nearest', environment = 'none', sampling_limit = 0.0 }
 density = { gradient_threshold = 2e-4 }
 refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until = 0 }
 ";
@@ -347,7 +347,7 @@ refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until
         assert_eq!(Config::with(&["refine.margins_at=[0, 100]"]).unwrap().refine.margins_at, [0, 100]);
         assert!(Config::with(&["train.detach_transmittance = true"]).unwrap().train.detach_transmittance);
         assert_eq!(Config::with(&["model.margin=raw"]).unwrap().model.margin, Margin::Raw);
-        assert_eq!(Config::with(&["model.margin_lookup=literal"]).unwrap().model.margin_lookup, MarginLookup::Literal);
+        assert_eq!(Config::with(&["model.peeling=literal"]).unwrap().model.peeling, Peeling::Literal);
     }
 
     #[test]
@@ -371,7 +371,7 @@ refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until
             ("model.colour=sh9", "sh0 to sh3"),
             ("init.method=magic", "silhouette"),
             ("model.margin=mean", "median"),
-            ("model.margin_lookup=bare", "literal"),
+            ("model.peeling=bare", "literal"),
             ("refine.margins_at=[-1]", "`refine.margins_at`"),
             ("train.freeze_surfels=1", "expected true or false"),
         ] {

@@ -14,11 +14,11 @@ pub struct Case {
     bytes: &'static [u8],
 }
 
-/// A plain scene; one with more surfels per pixel than are peeled; one with the camera among the primitives; one of
+/// A plain scene; one with more rims per pixel than are peeled; one with the camera among the primitives; one of
 /// translucent surfels. The first is the quickest.
 pub const CASES: [Case; 5] = [
     Case { name: "basic", bytes: include_bytes!("../../golden/basic.safetensors") },
-    Case { name: "backstop", bytes: include_bytes!("../../golden/backstop.safetensors") },
+    Case { name: "crowded_rims", bytes: include_bytes!("../../golden/crowded_rims.safetensors") },
     Case { name: "crowded", bytes: include_bytes!("../../golden/crowded.safetensors") },
     Case { name: "inside", bytes: include_bytes!("../../golden/inside.safetensors") },
     Case { name: "four_layers_translucent", bytes: include_bytes!("../../golden/four_layers_translucent.safetensors") },

@@ -9,6 +9,7 @@ use dpges_core::Result;
 use dpges_core::camera::Camera;
 use dpges_core::ops::peel::{Layers, PeelOptions, peel};
 use dpges_core::ops::splat::contributions;
+use dpges_core::scene::peeling::STEP;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Gaussians, Surfels};
 use glam::Vec3;
@@ -78,7 +79,7 @@ impl Visibility {
             }
             let camera = &view.camera;
             is_known = true;
-            let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, options)?;
+            let layers = peel(surfels, camera, options)?;
             observe_surfels(&mut of_surfels, &layers, &depths);
             if counts[1] > 0 {
                 let [blocks, supports] = alphas(gaussians, &white, &depths, camera, &device)?;
@@ -136,8 +137,10 @@ fn alphas(
         let values: Vec<f32> = factors.iter().flat_map(|factor| depths.iter().map(move |z| factor * z)).collect();
         Tensor::<3>::from_data(TensorData::new(values, shape), (device, DType::F32))
     };
-    let limits = planes(AT_THE_POINT);
-    let shown = limits.clone().greater_elem(0.0).float();
+    let ends = planes(AT_THE_POINT);
+    let shown = ends.clone().greater_elem(0.0).float();
+    let steps = Tensor::full([1, camera.height, camera.width], STEP, (device, DType::F32));
+    let limits = Tensor::cat(vec![ends, steps], 0);
     let found = |interval: usize| {
         let only = planes([0, 1].map(|plane| f32::from(u8::from(plane == interval)))).greater_elem(0.0).float();
         let gates = shown.clone() * only;

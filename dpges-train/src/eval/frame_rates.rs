@@ -1,7 +1,7 @@
 //! Frames per second of a scene at several settings of rendering.
 
 use dpges_core::camera::Camera;
-use dpges_core::scene::{Rendering, SceneData};
+use dpges_core::scene::{Peeling, Rendering, SceneData};
 use dpges_render::frame_times::{FrameTimes, PassShare, Rounds, frame_times};
 use dpges_render::{Display, Headless, RenderError, RenderOptions};
 use serde::Serialize;
@@ -31,13 +31,13 @@ pub struct Row {
     /// Adapter, or device.
     pub on: String,
     pub layers: Option<usize>,
-    pub backstop: Option<bool>,
+    pub peeling: Option<Peeling>,
     #[serde(flatten)]
     pub times: FrameTimes,
 }
 
 impl Row {
-    /// Times of the real-time renderer, a row for each number of `layers` with each of `backstops`, or with that of the scene
+    /// Times of the real-time renderer, a row for each number of `layers` with each of `peelings`, or with that of the scene
     /// if there is none; one row for a scene without layers.
     ///
     /// # Errors
@@ -47,25 +47,25 @@ impl Row {
         cameras: &[Camera],
         rounds: Rounds,
         layers: &[usize],
-        backstops: &[bool],
+        peelings: &[Peeling],
     ) -> Result<Vec<Self>, RenderError> {
         let headless = Headless::new()?;
         let mut renderer = headless.renderer()?;
         renderer.upload(scene)?;
         let own = RenderOptions { display: Display::Image, ..RenderOptions::from(&scene.info) };
-        let mut row = |layers: Option<usize>, backstop: Option<bool>| {
-            let (layer_count, stops) = (layers.unwrap_or(own.layer_count), backstop.unwrap_or(own.backstop));
-            let options = RenderOptions { layer_count, backstop: stops, ..own };
+        let mut row = |layers: Option<usize>, peeling: Option<Peeling>| {
+            let (layer_count, as_trained) = (layers.unwrap_or(own.layer_count), own.peeling);
+            let options = RenderOptions { layer_count, peeling: peeling.unwrap_or(as_trained), ..own };
             let times = frame_times(&headless, &mut renderer, cameras, &options, rounds)?;
-            Ok(Self { renderer: "raster", on: headless.adapter_name(), layers, backstop, times })
+            Ok(Self { renderer: "raster", on: headless.adapter_name(), layers, peeling, times })
         };
         if scene.info.rendering != Rendering::Peeled {
             return Ok(vec![row(None, None)?]);
         }
-        let trained = [own.backstop];
-        let backstops = if backstops.is_empty() { &trained } else { backstops };
-        let settings = layers.iter().flat_map(|&layers| backstops.iter().map(move |&backstop| (layers, backstop)));
-        settings.map(|(layers, backstop)| row(Some(layers), Some(backstop))).collect()
+        let trained = [own.peeling];
+        let peelings = if peelings.is_empty() { &trained } else { peelings };
+        let settings = layers.iter().flat_map(|&layers| peelings.iter().map(move |&peeling| (layers, peeling)));
+        settings.map(|(layers, peeling)| row(Some(layers), Some(peeling))).collect()
     }
 
     /// Times of the renderer that is trained with, `on` a device.
@@ -81,8 +81,8 @@ impl Row {
     ) -> Result<Self, RenderError> {
         let times = renderer.frame_times(cameras, rounds)?;
         let peeled = scene.info.rendering == Rendering::Peeled;
-        let (layers, backstop) = (peeled.then_some(scene.info.layer_count), peeled.then_some(scene.info.backstop));
-        Ok(Self { renderer: "training", on, layers, backstop, times })
+        let (layers, peeling) = (peeled.then_some(scene.info.layer_count), peeled.then_some(scene.info.peeling));
+        Ok(Self { renderer: "training", on, layers, peeling, times })
     }
 }
 
@@ -91,15 +91,15 @@ impl FrameRates {
     pub fn table(&self) -> String {
         let Self { surfels, gaussians, width, height, cameras, .. } = self;
         let mut text = format!("{surfels} surfels, {gaussians} Gaussians, {width}x{height} px, {cameras} cameras\n");
-        text += "renderer  K  backstop  frames/s    p50 ms    p99 ms  passes by the GPU's clock\n";
+        text += "renderer  K  peeling     frames/s    p50 ms    p99 ms  passes by the GPU's clock\n";
         for row in &self.rows {
             let layers = row.layers.map_or("-".to_owned(), |layers| layers.to_string());
-            let backstop = row.backstop.map_or("-", |backstop| if backstop { "on" } else { "off" });
+            let peeling = row.peeling.map_or("-".to_owned(), |peeling| peeling.to_string());
             let share = |pass: &PassShare| format!("{} {:.2} ms ({:.0} %)", pass.name, pass.p50_ms, 100.0 * pass.share);
             let passes = row.times.passes.iter().map(share).collect::<Vec<_>>().join(", ");
             let FrameTimes { frames_per_second, p50_ms, p99_ms, .. } = row.times;
             let times = format!("{frames_per_second:8.1}  {p50_ms:8.2}  {p99_ms:8.2}");
-            let line = format!("{:8}  {layers}  {backstop:8}  {times}  {passes}", row.renderer);
+            let line = format!("{:8}  {layers}  {peeling:10}  {times}  {passes}", row.renderer);
             text += line.trim_end();
             text += "\n";
         }

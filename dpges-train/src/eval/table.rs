@@ -1,7 +1,7 @@
 //! Evaluations in rows of names and values, for people.
 
 use super::floaters::Floaters;
-use super::popping::Popping;
+use super::popping::{Jumps, Popping};
 use super::{EvalReport, Evaluation, FrameMs};
 use crate::metrics::{METRICS, Metric, Scores};
 use crate::run::targets::duration::Seconds;
@@ -23,11 +23,14 @@ impl EvalReport {
         rows.extend(scores.iter().map(|(name, scores)| (*name, line(&|metric| metric.text(metric.of(scores))))));
         rows.extend(worst.iter().map(|worst| ("worst", worst.clone())));
         rows.extend(self.popping.map(|popping| {
-            let Popping { flip_1, flip_7, frames, pixels_compared } = popping;
+            let Popping { flip_1, flip_7, frames, pixels_compared, jumps } = popping;
             let [of_1, of_7] = pixels_compared.map(|share| 100.0 * share);
-            let text = format!(
+            let mut text = format!(
                 "FLIP_1 {flip_1:.4}, FLIP_7 {flip_7:.4} over {frames} frames, {of_1:.0} % and {of_7:.0} % of the pixels"
             );
+            if let Some(Jumps { jumps_8, jumps_16, jumps_frames, .. }) = jumps {
+                text += &format!("; jumps > 8 {jumps_8:.4}, > 16 {jumps_16:.4} over {jumps_frames} frames");
+            }
             ("popping", text)
         }));
         rows.extend(notes);

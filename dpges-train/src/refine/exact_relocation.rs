@@ -140,7 +140,7 @@ mod tests {
     fn sums(gaussians: &GaussianData, dtype: DType) -> Vec<f64> {
         let camera_from_world = CameraFromWorld::look_at(DVec3::new(0.0, 0.0, -40.0), DVec3::ZERO, -DVec3::Y);
         let camera = camera(camera_from_world, 30.0, [24, 16]);
-        let limits = Tensor::full([1, 16, 24], 1e9, (&device(), dtype));
+        let limits = Tensor::full([2, 16, 24], 1e9, (&device(), dtype));
         let gaussians = Gaussians::from_data(gaussians, &device(), dtype);
         let white = Tensor::ones([gaussians.positions.dims()[0], 3], (&device(), dtype));
         splat(&gaussians, &white, &limits, &camera).unwrap().into_data().iter::<f64>().collect()

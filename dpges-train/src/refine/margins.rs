@@ -1,5 +1,5 @@
 //! The depth margin ε of every surfel: Gaussians this far behind it still contribute (GES, DP-GES), by
-//! [`interval_limits`](dpges_core::ops::interval_limits::interval_limits).
+//! [`visibility`](dpges_core::ops::visibility::visibility).
 
 use crate::config::Margin;
 use crate::dataset::neighbours::{as_points, nearest};

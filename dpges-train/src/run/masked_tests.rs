@@ -67,6 +67,6 @@ fn masks_make_up_for_what_is_painted_over() {
     let masked = psnr(overpainted(&clean, 255, true));
     let unmasked = psnr(overpainted(&clean, 255, false));
     println!("held out: {whole:.2} dB clean, {masked:.2} dB masked, {unmasked:.2} dB painted over");
-    assert!(masked > whole - 2.0, "{whole:.2} dB clean, {masked:.2} dB masked");
+    assert!(masked > whole - 2.5, "{whole:.2} dB clean, {masked:.2} dB masked");
     assert!(masked > unmasked + 2.0, "{masked:.2} dB masked, {unmasked:.2} dB painted over");
 }

@@ -59,8 +59,7 @@ pub fn config(scene: &SceneData, stage: StepStage) -> Config {
     config.model.modulation = info.modulation;
     config.model.layers = info.layer_count;
     config.model.footprint = info.footprint;
-    config.model.backstop = info.backstop;
-    config.model.margin_lookup = info.margin_lookup;
+    config.model.peeling = info.peeling;
     config
 }
 

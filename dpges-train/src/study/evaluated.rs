@@ -9,7 +9,7 @@ use super::cell::Cell;
 use super::row::Row;
 use super::{Result, StudyError};
 use crate::dataset::Dataset;
-use crate::eval::popping::{Measured, arc};
+use crate::eval::popping::Measured;
 use crate::eval::rendered::Renderer;
 use crate::eval::{EvalReport, Measures, evaluate_each};
 use crate::metrics::Perceptual;
@@ -38,7 +38,7 @@ impl Further<'_> {
         let mut report = read(&path)?;
         let mut known = report.evaluation.perceptual;
         let lacks_lpips = self.networks.iter().any(|lpips| known.lpips_mut(lpips.network).is_none());
-        let lacks_popping = self.popping && report.popping.is_none();
+        let lacks_popping = self.popping && report.popping.is_none_or(|popping| popping.jumps.is_none());
         if !lacks_lpips && !lacks_popping {
             return Ok(());
         }
@@ -54,9 +54,9 @@ impl Further<'_> {
             add(&mut report.evaluation.perceptual, &found.perceptual);
         }
         if lacks_popping {
-            let cameras = arc(self.dataset, &scene.info)?;
-            tracing::info!("{}: measuring popping over {} frames", cell.folder.path().display(), cameras.len());
-            report.popping = Measured::along(&renderer, &cameras)?.map(|measured| measured.popping);
+            tracing::info!("{}: measuring popping", cell.folder.path().display());
+            let measured = Measured::of_scene(&renderer, self.dataset, &scene.info)?;
+            report.popping = measured.map(|measured| measured.popping);
             if report.popping.is_none() {
                 tracing::warn!("{}: no surface is seen from two frames", cell.folder.path().display());
             }
@@ -83,6 +83,9 @@ pub fn row(cell: &Cell) -> Result<Row> {
     }
     row.set("flip_1", report.popping.map(|popping| popping.flip_1));
     row.set("flip_7", report.popping.map(|popping| popping.flip_7));
+    let jumps = report.popping.and_then(|popping| popping.jumps);
+    row.set("jumps_8", jumps.map(|jumps| jumps.jumps_8));
+    row.set("jumps_16", jumps.map(|jumps| jumps.jumps_16));
     row.set("coverage", report.evaluation.coverage);
     row.set("floaters", report.floaters.map(|found| (found.surfels + found.gaussians) as f64));
     row.set("bytes", Some(report.bytes as f64));

@@ -24,7 +24,7 @@ pub struct Measure {
 
 /// All of them, in the order of columns: the quality of pictures, of which the names are those of
 /// [`METRICS`](crate::metrics::METRICS), popping, validation views, then costs.
-pub static MEASURES: [Measure; 30] = [
+pub static MEASURES: [Measure; 32] = [
     quality("psnr", "PSNR, dB", 2),
     quality("ssim", "SSIM", 4),
     quality("flip", "FLIP", 4),
@@ -39,6 +39,8 @@ pub static MEASURES: [Measure; 30] = [
     quality("ssim_posed", "posed SSIM", 4),
     quality("flip_1", "FLIP_1", 4),
     quality("flip_7", "FLIP_7", 4),
+    quality("jumps_8", "jumps > 8", 4),
+    quality("jumps_16", "jumps > 16", 4).on_the_page(),
     quality("validation_psnr", "validation PSNR", 2),
     quality("validation_ssim", "validation SSIM", 4),
     cost("frame_ms", "frame, ms", 1.0, 2, 4).plotted("frame_time", "median frame time, ms"),

@@ -155,7 +155,7 @@ fn cells_that_were_killed_go_on_and_the_tables_have_all_of_them() {
         assert!(row["training_seconds"].as_f64().unwrap() > 0.0, "{row}");
         // so few steps leave no surface that two frames see, so that there may be no FLIP_1
         let log = content(run(cell).join("log.txt"));
-        assert!(log.contains("measuring popping over 60 frames"), "{log}");
+        assert!(log.contains("measuring popping"), "{log}");
     }
     let read = |name: &str| content(at.join("out").join(name));
     let (markdown, csv, latex) = (read("tables.md"), read("tables.csv"), read("tables.tex"));

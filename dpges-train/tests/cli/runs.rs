@@ -63,8 +63,8 @@ fn a_run_writes_everything_and_can_be_measured_and_shown() {
 
     ok(at, &["render", "run", "--out", "layers", "--layers"]);
     let names = png_names(&at.join("layers"));
-    assert_eq!(names.len(), 6 * 7);
-    for part in ["", "_surfels", "_depth", "_normal", "_transmittance_1", "_transmittance_3"] {
+    assert_eq!(names.len(), 6 * 9);
+    for part in ["", "_surfels", "_depth", "_normal", "_transmittance_1", "_transmittance_5"] {
         assert!(names.contains(&format!("test_000{part}.png")), "{part}: {names:?}");
     }
     let ranges = json(at.join("layers/layers.json"));

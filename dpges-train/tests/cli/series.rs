@@ -86,7 +86,7 @@ fn variants_are_trained_once_and_compared() {
 
     let message = fails(at, 1, &[&args[..], &["--budget=901"]].concat());
     assert!(message.contains("study/full/seed_3 holds another run") && message.contains("`refine.budget` is 900"));
-    assert!(ok(at, &["info", "study/sh/seed_3"]).contains("margin_lookup"));
+    assert!(ok(at, &["info", "study/sh/seed_3"]).contains("peeling"));
 }
 
 #[test]

@@ -140,7 +140,7 @@ fn an_automatic_budget_says_what_it_decides_and_why() {
         .flatten()
         .map(|event| event.as_str().unwrap().to_owned())
         .collect();
-    let told = ["layers instead of 3", "% of the covered pixels", "lobes", "dB, the best so far: growth to "];
+    let told = ["layers instead of 5", "% of the covered pixels", "lobes", "dB, the best so far: growth to "];
     for part in told {
         assert!(events.iter().any(|event| event.contains(part)), "{part}: {events:?}");
     }

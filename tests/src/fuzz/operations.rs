@@ -8,7 +8,7 @@ use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::render::{RenderOptions, Values, render};
 use dpges_core::scene::schema::Columns;
-use dpges_core::scene::{BlendOrder, ColourModel, Footprint, ScreenFilter, Transparency};
+use dpges_core::scene::{BlendOrder, ColourModel, Footprint, Peeling, ScreenFilter, Transparency};
 use dpges_core::testing::golden::values;
 use dpges_core::testing::random::Random;
 use dpges_core::testing::scenes::{self, Recipe, TestScene};
@@ -97,7 +97,7 @@ impl Case {
             layer_count,
             modulation: perhaps(30.0, share, random),
             footprint,
-            backstop: random.below(2) == 0,
+            peeling: [Peeling::Continuous, Peeling::Nearest, Peeling::Literal][random.below(3)],
         };
         let whitened = |transparency| (Form::Whitened, BlendOrder::Whitened(transparency));
         let (form, order) = [

@@ -10,7 +10,7 @@ use crate::ops::fixtures::{
 };
 use crate::ops::peel::PeelOptions;
 use crate::render::{RenderOptions, render};
-use crate::scene::{ColourModel, Footprint, Surfels};
+use crate::scene::{ColourModel, Footprint, Peeling, Surfels};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check_elements, leaf};
@@ -247,7 +247,8 @@ fn the_gradient_of_the_geometry_terms_is_central_differences() {
         depth: depth_image(camera, &depths),
         normal: constant(&(0..3).flat_map(component).collect::<Vec<f64>>(), [3, camera.height, camera.width]),
     };
-    let peel = PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity, backstop: false };
+    let peel =
+        PeelOptions { layer_count: 3, modulation: 1.5, footprint: Footprint::Opacity, peeling: Peeling::Nearest };
     let options = RenderOptions { peel, ..RenderOptions::default() };
     let loss = |[positions, quaternions, log_scales]: &[Tensor<2>; 3]| {
         let (others, gaussians) = scene.tensors(&device(), DType::F64);

@@ -6,10 +6,8 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::{
-    CompositeBackwardOps, CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, CompositeState,
-    OutputGradients, Reached,
-};
+use super::{CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, CompositeState, Grads, Reached};
+use crate::backend::tape::WayBackFromAll;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
 use crate::gpu::vector::{Vec3, add, dot, row3, scale, vec3};
@@ -24,8 +22,6 @@ struct Blend {
     blue: f32,
     pixels: u32,
     width: u32,
-    /// 0 where the gradient from the Gaussians stops at the transmittance, else 1.
-    gate: f32,
 }
 
 /// [3, H, W] at a pixel.
@@ -52,11 +48,11 @@ fn layer_colour(colours: &[f32], id: i32) -> Vec3 {
 
 #[cube(launch)]
 fn surfels_kernel(
-    alpha: &[f32],
+    weights: &[f32],
+    transmittance: &[f32],
     colours: &[f32],
     ids: &[i32],
     surfel_image: &mut [f32],
-    transmittance: &mut [f32],
     blend: Blend,
     #[comptime] layers: usize,
 ) {
@@ -65,23 +61,19 @@ fn surfels_kernel(
     if pixel >= plane {
         terminate!();
     }
-    let mut through = 1.0f32;
-    let mut red = 0.0f32;
-    let mut green = 0.0f32;
-    let mut blue = 0.0f32;
-    transmittance[pixel] = 1.0f32;
+    let open = transmittance[layers * plane + pixel];
+    let mut red = open * blend.red;
+    let mut green = open * blend.green;
+    let mut blue = open * blend.blue;
     #[unroll]
     for k in 0..layers {
         let at = k * plane + pixel;
-        let (opacity, colour) = (alpha[at], layer_colour(colours, ids[at]));
-        red += opacity * through * colour.x;
-        green += opacity * through * colour.y;
-        blue += opacity * through * colour.z;
-        through *= 1.0f32 - opacity;
-        transmittance[at + plane] = through;
+        let (weight, colour) = (weights[at], layer_colour(colours, ids[at]));
+        red += weight * colour.x;
+        green += weight * colour.y;
+        blue += weight * colour.z;
     }
-    let own = vec3(red + through * blend.red, green + through * blend.green, blue + through * blend.blue);
-    write_rgb(surfel_image, pixel, plane, own);
+    write_rgb(surfel_image, pixel, plane, vec3(red, green, blue));
 }
 
 #[cube(launch)]
@@ -173,64 +165,46 @@ fn parts_backward_kernel(
     grad_parts[OF_WEIGHT * plane + pixel] = weight;
 }
 
-/// Gradients with respect to opacities, from those of the parts of a pixel and of the transmittances.
+/// Gradients with respect to weights and transmittances, from those of the parts of a pixel.
 #[cube(launch)]
-fn alpha_backward_kernel(
-    alpha: &[f32],
+fn layers_backward_kernel(
     colours: &[f32],
     ids: &[i32],
     sums: &[f32],
     grad_parts: &[f32],
-    grad_transmittance: &[f32],
-    grad_alpha: &mut [f32],
+    grad_weights: &mut [f32],
+    grad_transmittance: &mut [f32],
     blend: Blend,
     #[comptime] layers: usize,
-    #[comptime] reached: Reached,
+    #[comptime] gated: bool,
 ) {
     let pixel = ABSOLUTE_POS;
     let plane = blend.pixels as usize;
     if pixel >= plane {
         terminate!();
     }
-    let mut through = Array::<f32>::new(layers);
-    let mut left = 1.0f32;
-    #[unroll]
-    for k in 0..layers {
-        through[k] = left;
-        left *= 1.0f32 - alpha[k * plane + pixel];
-    }
     let surfel = rgb(grad_parts, pixel, plane);
     let gaussian = rgb(grad_parts, OF_GAUSSIANS * plane + pixel, plane);
     let weight = grad_parts[OF_WEIGHT * plane + pixel];
-    // total derivative with respect to T_k, everything behind included
-    let mut behind = dot(surfel, vec3(blend.red, blend.green, blend.blue));
-    if comptime!(reached.transmittance) {
-        behind += grad_transmittance[layers * plane + pixel];
-    }
     #[unroll]
-    for step in 0..layers {
-        let k = comptime!(layers - 1 - step);
+    for k in 0..layers {
         let at = k * plane + pixel;
-        let opacity = alpha[at];
-        let own = dot(surfel, layer_colour(colours, ids[at]));
-        grad_alpha[at] = through[k] * (own - behind);
-        let mut gated = 0.0f32;
-        if comptime!(reached.sums()) {
+        grad_weights[at] = dot(surfel, layer_colour(colours, ids[at]));
+        let mut of_gate = 0.0f32;
+        if comptime!(gated) {
             let sum = 4 * k * plane + pixel;
             let payload = vec3(sums[sum], sums[sum + plane], sums[sum + 2 * plane]);
-            gated = blend.gate * (dot(gaussian, payload) + weight * sums[sum + 3 * plane]);
+            of_gate = dot(gaussian, payload) + weight * sums[sum + 3 * plane];
         }
-        if comptime!(reached.transmittance) {
-            gated += grad_transmittance[at];
-        }
-        behind = gated + opacity * own + (1.0f32 - opacity) * behind;
+        grad_transmittance[at] = of_gate;
     }
+    grad_transmittance[layers * plane + pixel] = dot(surfel, vec3(blend.red, blend.green, blend.blue));
 }
 
 /// Gradients with respect to the sums, from those of the parts of a pixel.
 #[cube(launch)]
 fn sums_backward_kernel(
-    alpha: &[f32],
+    transmittance: &[f32],
     grad_parts: &[f32],
     grad_sums: &mut [f32],
     blend: Blend,
@@ -243,22 +217,21 @@ fn sums_backward_kernel(
     }
     let gaussian = rgb(grad_parts, OF_GAUSSIANS * plane + pixel, plane);
     let weight = grad_parts[OF_WEIGHT * plane + pixel];
-    let mut through = 1.0f32;
     #[unroll]
     for k in 0..layers {
+        let through = transmittance[k * plane + pixel];
         let at = 4 * k * plane + pixel;
         grad_sums[at] = through * gaussian.x;
         grad_sums[at + plane] = through * gaussian.y;
         grad_sums[at + 2 * plane] = through * gaussian.z;
         grad_sums[at + 3 * plane] = through * weight;
-        through *= 1.0f32 - alpha[k * plane + pixel];
     }
 }
 
 /// Gathers the gradients with respect to the surfels' colours over the pixels of each piece of their boxes.
 #[cube(launch)]
 fn colours_backward_kernel(
-    alpha: &[f32],
+    weights: &[f32],
     ids: &[i32],
     pieces: &[u32],
     grad_parts: &[f32],
@@ -282,14 +255,11 @@ fn colours_backward_kernel(
         let mut row = first_row;
         while p < piece.end {
             let pixel = (row * blend.width + column) as usize;
-            let mut through = 1.0f32;
             let mut share = 0.0f32;
             #[unroll]
             for k in 0..layers {
                 let at = k * plane + pixel;
-                let opacity = alpha[at];
-                share += select(ids[at] == surfel, opacity * through, 0.0f32);
-                through *= 1.0f32 - opacity;
+                share += select(ids[at] == surfel, weights[at], 0.0f32);
             }
             if share != 0.0f32 {
                 let incoming = rgb(grad_parts, pixel, plane);
@@ -308,7 +278,8 @@ fn colours_backward_kernel(
 
 fn contiguous(input: CompositeInput<CubeBackend>) -> CompositeInput<CubeBackend> {
     CompositeInput {
-        alpha: floats(input.alpha),
+        weights: floats(input.weights),
+        transmittance: floats(input.transmittance),
         colours: floats(input.colours),
         sums: floats(input.sums),
         ids: integers(input.ids),
@@ -318,21 +289,19 @@ fn contiguous(input: CompositeInput<CubeBackend>) -> CompositeInput<CubeBackend>
 fn blend(shape: [usize; 3], options: &CompositeOptions) -> BlendLaunch {
     let [_, height, width] = shape;
     let [red, green, blue] = options.background.map(|c| c as f32);
-    let gate = if options.detach_transmittance { 0.0 } else { 1.0 };
-    BlendLaunch::new(red, green, blue, (height * width) as u32, width as u32, gate)
+    BlendLaunch::new(red, green, blue, (height * width) as u32, width as u32)
 }
 
 impl CompositeOps for CubeBackend {
     fn composite(input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self> {
         let input = contiguous(input);
-        let shape: [usize; 3] = input.alpha.shape().dims();
+        let shape: [usize; 3] = input.weights.shape().dims();
         let [layers, height, width] = shape;
-        let (like, client) = (&input.alpha, input.alpha.client.clone());
+        let (like, client) = (&input.weights, input.weights.client.clone());
         let image = |planes: usize| empty_f32(like, [planes, height, width]);
         let out = CompositeOutput {
             image: image(3),
             surfel_image: image(3),
-            transmittance: image(layers + 1),
             gaussian_colour: image(3),
             gaussian_weight: image(1),
         };
@@ -340,11 +309,11 @@ impl CompositeOps for CubeBackend {
             &client,
             units(height * width),
             cube_dim(),
-            buffer(&input.alpha),
+            buffer(&input.weights),
+            buffer(&input.transmittance),
             buffer(&input.colours),
             buffer(&input.ids),
             buffer(&out.surfel_image),
-            buffer(&out.transmittance),
             blend(shape, &options),
             layers,
         );
@@ -352,7 +321,7 @@ impl CompositeOps for CubeBackend {
             &client,
             units(height * width),
             cube_dim(),
-            buffer(&out.transmittance),
+            buffer(&input.transmittance),
             buffer(&input.sums),
             buffer(&out.surfel_image),
             buffer(&out.gaussian_colour),
@@ -365,15 +334,20 @@ impl CompositeOps for CubeBackend {
     }
 }
 
-impl CompositeBackwardOps for CubeBackend {
-    fn composite_backward(state: CompositeState<Self>, grads: OutputGradients<Self>) -> [Option<CubeTensor>; 3] {
-        let CompositeState { input, image, gaussian_weight, options } = state;
+impl WayBackFromAll<CubeBackend, 4, 4> for CompositeState<CubeBackend> {
+    fn parents(&self) -> [&CubeTensor; 4] {
+        let CompositeInput { weights, transmittance, colours, sums, .. } = &self.input;
+        [weights, transmittance, colours, sums]
+    }
+
+    fn go_back_from(self, grads: Grads<CubeBackend>) -> [Option<CubeTensor>; 4] {
+        let Self { input, image, gaussian_weight, options } = self;
         let (input, image, gaussian_weight) = (contiguous(input), floats(image), floats(gaussian_weight));
-        let shape: [usize; 3] = input.alpha.shape().dims();
+        let shape: [usize; 3] = input.weights.shape().dims();
         let [layers, height, width] = shape;
-        let (like, client, count) = (&input.alpha, image.client.clone(), input.colours.shape()[0]);
-        let reached = Reached::new::<Self>(&grads);
-        let [of_image, of_surfel_image, of_transmittance, of_colour, of_weight] =
+        let (like, client, count) = (&input.weights, image.client.clone(), input.colours.shape()[0]);
+        let reached = Reached::new::<CubeBackend>(&grads);
+        let [of_image, of_surfel_image, of_colour, of_weight] =
             grads.map(|grad| grad.map_or_else(|| empty_f32(like, [0]), floats));
         let parts = empty_f32(like, [PARTS, height, width]);
         parts_backward_kernel::launch(
@@ -390,21 +364,21 @@ impl CompositeBackwardOps for CubeBackend {
             (height * width) as u32,
             reached,
         );
-        let alpha = empty_f32(like, shape);
-        alpha_backward_kernel::launch(
+        let weights = empty_f32(like, shape);
+        let transmittance = empty_f32(like, [layers + 1, height, width]);
+        layers_backward_kernel::launch(
             &client,
             units(height * width),
             cube_dim(),
-            buffer(&input.alpha),
             buffer(&input.colours),
             buffer(&input.ids),
             buffer(&input.sums),
             buffer(&parts),
-            buffer(&of_transmittance),
-            buffer(&alpha),
+            buffer(&weights),
+            buffer(&transmittance),
             blend(shape, &options),
             layers,
-            reached,
+            reached.sums() && !options.detach_transmittance,
         );
         let sums = reached.sums().then(|| {
             let sums = empty_f32(like, [layers, 4, height, width]);
@@ -412,7 +386,7 @@ impl CompositeBackwardOps for CubeBackend {
                 &client,
                 units(height * width),
                 cube_dim(),
-                buffer(&input.alpha),
+                buffer(&input.transmittance),
                 buffer(&parts),
                 buffer(&sums),
                 blend(shape, &options),
@@ -420,14 +394,14 @@ impl CompositeBackwardOps for CubeBackend {
             );
             sums
         });
-        let colours = reached.colours().then(|| {
+        let colours = reached.surfels().then(|| {
             let pieces = visible_pieces(&input.ids, count);
             let gathered = empty_f32(like, [pieces.most, 3]);
             colours_backward_kernel::launch(
                 &client,
                 pieces.gatherers(),
                 cube_dim(),
-                buffer(&input.alpha),
+                buffer(&input.weights),
                 buffer(&input.ids),
                 buffer(&pieces.pieces),
                 buffer(&parts),
@@ -438,6 +412,6 @@ impl CompositeBackwardOps for CubeBackend {
             );
             pieces.collect(&gathered, 0, 3)
         });
-        [Some(alpha), colours, sums]
+        [Some(weights), Some(transmittance), colours, sums]
     }
 }

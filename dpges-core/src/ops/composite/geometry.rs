@@ -11,9 +11,9 @@ use crate::scene::Surfels;
 /// Blended geometry of one view.
 #[derive(Clone, Debug)]
 pub struct Geometry {
-    /// [1, H, W] `Σ A_i T_{i−1} D_i`, world units
+    /// [1, H, W] `Σ w_i D_i`, world units
     pub depth: Tensor<3>,
-    /// [3, H, W] `Σ A_i T_{i−1} N_i`, world axes, towards the camera
+    /// [3, H, W] `Σ w_i N_i`, world axes, towards the camera
     pub normal: Tensor<3>,
 }
 
@@ -46,30 +46,23 @@ fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
     column * flip
 }
 
-/// `A_i T_{i−1}` [K, H, W] of `layers`; `transmittance` [K + 1, H, W] is the composite's.
-pub fn layer_weights(layers: &Layers, transmittance: &Tensor<3>) -> Tensor<3> {
-    let [count, height, width] = layers.alpha.dims();
-    layers.alpha.clone() * transmittance.clone().slice([0..count, 0..height, 0..width])
-}
-
-/// `Σ A_i T_{i−1} D_i` [1, H, W], world units, of `layers` with their [`layer_weights`].
+/// `Σ w_i D_i` [1, H, W], world units, of `layers` with their `weights` [K, H, W].
 pub fn layer_depth(layers: &Layers, weights: &Tensor<3>) -> Tensor<3> {
     let missing = layers.ids.clone().lower_elem(0);
     (layers.depth.clone().mask_fill(missing, 0.0) * weights.clone()).sum_dim(0)
 }
 
-/// Blends depth and normal of `layers`; `transmittance` [K + 1, H, W] is the composite's.
-pub fn geometry(surfels: &Surfels, layers: &Layers, transmittance: &Tensor<3>, camera: &Camera) -> Geometry {
+/// Blends depth and normal of `layers` by their `weights` [K, H, W].
+pub fn geometry(surfels: &Surfels, layers: &Layers, weights: &Tensor<3>, camera: &Camera) -> Geometry {
     let [count, height, width] = layers.alpha.dims();
-    let weight = layer_weights(layers, transmittance);
     let missing = layers.ids.clone().lower_elem(0);
-    let depth = layer_depth(layers, &weight);
+    let depth = layer_depth(layers, weights);
     if surfels.is_empty() {
         let normal = Tensor::cat(vec![depth.clone(), depth.clone(), depth.clone()], 0);
         return Geometry { depth, normal };
     }
     let rows = layers.ids.clone().mask_fill(missing, 0).reshape([count * height * width]);
     let normals = normals_towards(surfels, camera).select(0, rows).reshape([count, height * width, 3]).swap_dims(1, 2);
-    let normal = (normals.reshape([count, 3, height, width]) * weight.unsqueeze_dim(1)).sum_dim(0);
+    let normal = (normals.reshape([count, 3, height, width]) * weights.clone().unsqueeze_dim(1)).sum_dim(0);
     Geometry { depth, normal: normal.reshape([3, height, width]) }
 }

@@ -1,14 +1,12 @@
 //! `composite`: the image from the surfel layers and the sums of the Gaussians.
 //!
-//! Opacities [K, H, W], ids [K, H, W], surfel colours [N, 3] and sums [K, 4, H, W] →
-//! `T_i = Π_{j≤i} (1 − A_j)` [K + 1, H, W] with T_0 = 1, the surfel image
-//! `C_s = Σ A_i T_{i−1} C_i + T_K C_b`, the Gaussians' `C_G = Σ T_{i−1} X_i` and `W_G = Σ T_{i−1} Y_i`,
-//! and the image `C = (C_s + C_G) / (1 + W_G)` (DP-GES). Colour images are [3, H, W],
-//! not clamped; the weight is [1, H, W].
+//! Weights [K, H, W] and transmittances T [K + 1, H, W] of the layers, ids [K, H, W], surfel colours [N, 3] and sums
+//! [K, 4, H, W] → the surfel image `C_s = Σ w_i C_i + T_K C_b`, the Gaussians' `C_G = Σ T_{i−1} X_i` and `W_G = Σ T_{i−1} Y_i`,
+//! and the image `C = (C_s + C_G) / (1 + W_G)` (DP-GES). Colour images are [3, H, W], not clamped; the weight is [1, H, W].
 //!
-//! Gradients: from every output to opacities, colours and sums, without a division by 1 − A or T, which are
-//! exactly 0 behind an opaque layer. `detach_transmittance` cuts the path from the Gaussians' image to the
-//! opacities. All outputs of a call go back together: a loss of several of them is one `backward`, not one for each.
+//! Gradients: from every output to weights, transmittances, colours and sums. `detach_transmittance` cuts the path from the
+//! Gaussians' image to the transmittances. All outputs of a call go back together: a loss of several of them is one
+//! `backward`, not one for each.
 //!
 //! Compositing is an operation because burn-ndarray takes over ten times as long for the same tensor
 //! operations (burn-flex does not): see `dpges-train/docs/log/2026-11-24-benchmarks.md`.
@@ -27,10 +25,11 @@ use burn::tensor::Tensor;
 
 use crate::error::Result;
 use crate::ops::peel::Layers;
+use crate::ops::visibility::Visibility;
 use crate::scene::tensors::check_shape;
 
 pub(crate) use geometry::uploaded;
-pub use geometry::{Geometry, geometry, layer_depth, layer_weights};
+pub use geometry::{Geometry, geometry, layer_depth};
 
 /// Options without gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,7 +43,9 @@ pub struct CompositeOptions {
 #[derive(ExtensionType, Debug, Clone)]
 pub struct CompositeInput<B: Backend> {
     /// [K, H, W]
-    pub alpha: FloatTensor<B>,
+    pub weights: FloatTensor<B>,
+    /// [K + 1, H, W]
+    pub transmittance: FloatTensor<B>,
     /// [N, 3]
     pub colours: FloatTensor<B>,
     /// [K, 4, H, W]
@@ -57,7 +58,6 @@ pub struct CompositeInput<B: Backend> {
 pub struct CompositeOutput<B: Backend> {
     pub image: FloatTensor<B>,
     pub surfel_image: FloatTensor<B>,
-    pub transmittance: FloatTensor<B>,
     pub gaussian_colour: FloatTensor<B>,
     pub gaussian_weight: FloatTensor<B>,
 }
@@ -71,38 +71,26 @@ pub struct CompositeState<B: Backend> {
     options: CompositeOptions,
 }
 
-/// Gradients with respect to the outputs in the order of `OutputKind`; `None` where none arrived.
-pub type OutputGradients<B> = [Option<FloatTensor<B>>; 5];
-
-/// In the order of the fields of [`CompositeOutput`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum OutputKind {
-    Image,
-    SurfelImage,
-    Transmittance,
-    GaussianColour,
-    GaussianWeight,
-}
+/// Gradients with respect to the outputs, in the order of the fields of [`CompositeOutput`]; `None` where none arrived.
+type Grads<B> = [Option<FloatTensor<B>>; 4];
 
 /// The outputs for which gradients have arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Reached {
     image: bool,
     surfel_image: bool,
-    transmittance: bool,
     gaussian_colour: bool,
     gaussian_weight: bool,
 }
 
 impl Reached {
-    fn new<B: Backend>(grads: &OutputGradients<B>) -> Self {
-        let [image, surfel_image, transmittance, gaussian_colour, gaussian_weight] =
-            grads.each_ref().map(Option::is_some);
-        Self { image, surfel_image, transmittance, gaussian_colour, gaussian_weight }
+    fn new<B: Backend>(grads: &Grads<B>) -> Self {
+        let [image, surfel_image, gaussian_colour, gaussian_weight] = grads.each_ref().map(Option::is_some);
+        Self { image, surfel_image, gaussian_colour, gaussian_weight }
     }
 
-    /// Whether gradients go on to the colours of surfels.
-    fn colours(self) -> bool {
+    /// Whether gradients go on to the weights and colours of surfels.
+    fn surfels(self) -> bool {
         self.image || self.surfel_image
     }
 
@@ -122,11 +110,6 @@ pub trait CompositeOps: Backend {
     fn composite(#[extension_type] input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self>;
 }
 
-pub trait CompositeBackwardOps: Backend {
-    /// Gradients with respect to opacities, colours and sums; `None` of those that no output with a gradient reaches.
-    fn composite_backward(state: CompositeState<Self>, grads: OutputGradients<Self>) -> [Option<FloatTensor<Self>>; 3];
-}
-
 /// A composited view.
 #[derive(Clone, Debug)]
 pub struct Composite {
@@ -134,8 +117,6 @@ pub struct Composite {
     pub image: Tensor<3>,
     /// [3, H, W] C_s
     pub surfel_image: Tensor<3>,
-    /// [K + 1, H, W] T_0 = 1 … T_K
-    pub transmittance: Tensor<3>,
     /// [3, H, W] C_G
     pub gaussian_colour: Tensor<3>,
     /// [1, H, W] W_G
@@ -144,11 +125,9 @@ pub struct Composite {
 
 impl Composite {
     /// The same view with an [`environment`](mod@crate::ops::environment) [3, H, W] behind everything, which adds to the
-    /// background: `T_K E` to the surfel image, `T_K E / (1 + W_G)` to the image.
+    /// background where T_K [1, H, W] is `open`: `T_K E` to the surfel image, `T_K E / (1 + W_G)` to the image.
     #[must_use]
-    pub fn in_front_of(mut self, environment: Tensor<3>) -> Self {
-        let [planes, height, width] = self.transmittance.dims();
-        let open = self.transmittance.clone().slice([planes - 1..planes, 0..height, 0..width]);
+    pub fn in_front_of(mut self, environment: Tensor<3>, open: Tensor<3>) -> Self {
         let behind = open * environment;
         self.image = self.image + behind.clone() / (self.gaussian_weight.clone() + 1.0);
         self.surfel_image = self.surfel_image + behind;
@@ -156,21 +135,25 @@ impl Composite {
     }
 }
 
-/// Composites `layers`, surfel `colours` [N, 3] and Gaussian `sums` [K, 4, H, W].
+/// Composites `layers` by what is `seen` of them, surfel `colours` [N, 3] and Gaussian `sums` [K, 4, H, W].
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the tensors do not fit each other.
 pub fn composite(
     layers: &Layers,
+    seen: &Visibility,
     colours: &Tensor<2>,
     sums: &Tensor<4>,
     options: &CompositeOptions,
 ) -> Result<Composite> {
-    let [count, height, width] = layers.alpha.dims();
+    let [count, height, width] = layers.ids.dims();
+    check_shape("layer weights", &seen.weights, [count, height, width])?;
+    check_shape("transmittance", &seen.transmittance, [count + 1, height, width])?;
     check_shape("sums", sums, [count, 4, height, width])?;
     check_shape("surfel colours", colours, [colours.dims()[0], 3])?;
     let input = CompositeInput {
-        alpha: layers.alpha.clone().into_dispatch(),
+        weights: seen.weights.clone().into_dispatch(),
+        transmittance: seen.transmittance.clone().into_dispatch(),
         colours: colours.clone().into_dispatch(),
         sums: sums.clone().into_dispatch(),
         ids: layers.ids.clone().into_dispatch(),
@@ -179,7 +162,6 @@ pub fn composite(
     Ok(Composite {
         image: Tensor::from_dispatch(out.image),
         surfel_image: Tensor::from_dispatch(out.surfel_image),
-        transmittance: Tensor::from_dispatch(out.transmittance),
         gaussian_colour: Tensor::from_dispatch(out.gaussian_colour),
         gaussian_weight: Tensor::from_dispatch(out.gaussian_weight),
     })

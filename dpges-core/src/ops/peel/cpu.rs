@@ -7,19 +7,18 @@ use burn::backend::tensor::FloatTensor;
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::autodiff::PeelState;
-use super::{PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
+use super::autodiff::Grads;
+use super::{PeelOps, PeelOptions, PeelOutput, PeelState, SurfelShapes};
 use crate::backend::host::{self, Host, with_real};
-use crate::backend::lanes::Lanes;
+use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::WayBackFromAll;
 use crate::camera::Camera;
-use crate::footprint::CUTOFF;
 use crate::footprint::rays::rays;
 use crate::footprint::surfel::cpu::{Disc, DiscGrad, MIN_FACING, Parameters, Plane};
 use crate::math::{CameraOf, V3, row};
-use crate::scene::Footprint;
+use crate::scene::peeling::ORDER;
 use crate::tiles::bands::{BAND_COUNT, Bands};
 use crate::tiles::binning::cpu::bin;
 use crate::tiles::layout::to_planes;
@@ -30,6 +29,7 @@ struct SurfelRows<'a, T: Real> {
     positions: Cow<'a, [T]>,
     quaternions: Cow<'a, [T]>,
     log_scales: Cow<'a, [T]>,
+    margins: Cow<'a, [T]>,
 }
 
 impl<'a, T: Real> SurfelRows<'a, T> {
@@ -38,6 +38,7 @@ impl<'a, T: Real> SurfelRows<'a, T> {
             positions: host::floats::<B, T>(&surfels.positions),
             quaternions: host::floats::<B, T>(&surfels.quaternions),
             log_scales: host::floats::<B, T>(&surfels.log_scales),
+            margins: host::floats::<B, T>(&surfels.margins),
         }
     }
 
@@ -58,33 +59,53 @@ impl<'a, T: Real> SurfelRows<'a, T> {
     }
 }
 
-/// The nearest opaque fragment of every pixel of a tile. A primitive is its place in the list of the tile, a whole number of type `T`, which
-/// vectors move.
-struct TileCores<T> {
-    places: [T; TILE_PIXELS],
-    depth: [T; TILE_PIXELS],
-}
-
 /// Stands for no primitive.
 const NONE: f64 = -1.0;
 
+/// A fragment per lane: its primitive, opacity and depth. A primitive is its place in the list of the tile, a whole number of type
+/// `T`, which vectors move. Absent ones are at infinity.
+type Fragments<T, S> = [Lanes<T, S>; 3];
+
+/// The nearest core of every pixel of a tile so far.
+struct TileCores<T> {
+    places: [T; TILE_PIXELS],
+    depth: [T; TILE_PIXELS],
+    /// The depth up to which other fragments are layers.
+    ends: [T; TILE_PIXELS],
+    /// No surfel of the tile reaches further behind itself. A nearer core may have a further end.
+    furthest: T,
+}
+
 impl<T: Real> TileCores<T> {
-    fn none() -> Self {
-        Self { places: [T::of(NONE); TILE_PIXELS], depth: [T::INFINITY; TILE_PIXELS] }
+    fn none(furthest: T) -> Self {
+        let [depth, ends] = [[T::INFINITY; TILE_PIXELS]; 2];
+        Self { places: [T::of(NONE); TILE_PIXELS], depth, ends, furthest }
     }
 
-    /// Takes the opaque ones of the fragments of a primitive that are nearer. Candidates ascend by index, so a strict
-    /// comparison breaks ties in depth by index.
+    /// Whether fragments at these depths can be layers, as far as is known.
     #[inline(always)]
-    fn take_nearer<S: Simd>(&mut self, start: usize, [place, alpha, depth]: [Lanes<T, S>; 3]) {
+    fn reach<S: Simd>(&self, start: usize, depth: Lanes<T, S>) -> Mask<T, S> {
         let simd = depth.simd();
-        let nearest = Lanes::load(simd, &self.depth[start..]);
-        let nearer = alpha.at_least(Lanes::splat(simd, T::one())) & depth.below(nearest);
-        if nearer.any() {
-            Lanes::select(nearer, depth, nearest).store(&mut self.depth[start..]);
-            let places = Lanes::load(simd, &self.places[start..]);
-            Lanes::select(nearer, place, places).store(&mut self.places[start..]);
+        (Lanes::load(simd, &self.depth[start..]) + Lanes::splat(simd, self.furthest)).at_least(depth)
+    }
+
+    /// Takes those of the fragments of a primitive that are nearer cores, in exchange for the cores so far, which become fragments
+    /// like others. `reach` is how far behind such a core other fragments are layers.
+    #[inline(always)]
+    fn exchange<S: Simd>(&mut self, start: usize, [place, alpha, depth]: Fragments<T, S>, reach: T) -> Fragments<T, S> {
+        let simd = depth.simd();
+        let one = Lanes::splat(simd, T::one());
+        let (own_place, own_depth) =
+            (Lanes::load(simd, &self.places[start..]), Lanes::load(simd, &self.depth[start..]));
+        let nearer = alpha.at_least(one) & is_before([place, alpha, depth], [own_place, one, own_depth]);
+        if !nearer.any() {
+            return [place, alpha, depth];
         }
+        let end = Lanes::load(simd, &self.ends[start..]);
+        Lanes::select(nearer, place, own_place).store(&mut self.places[start..]);
+        Lanes::select(nearer, depth, own_depth).store(&mut self.depth[start..]);
+        Lanes::select(nearer, depth + Lanes::splat(simd, reach), end).store(&mut self.ends[start..]);
+        [Lanes::select(nearer, own_place, place), alpha, Lanes::select(nearer, own_depth, depth)]
     }
 }
 
@@ -97,43 +118,55 @@ struct TileLayers<'a, T> {
 }
 
 impl<T: Real> TileLayers<'_, T> {
-    /// Inserts a fragment of one primitive per lane into the sorted lists and moves those behind it by one, ties by index.
     #[inline(always)]
-    fn insert<S: Simd>(&mut self, start: usize, fragments: [Lanes<T, S>; 3]) {
-        let [mut place, mut alpha, mut depth] = fragments;
-        let simd = depth.simd();
-        let last = (self.count - 1) * TILE_PIXELS + start;
-        let mut moves = depth.below(Lanes::load(simd, &self.depth[last..]));
-        if !moves.any() {
+    fn load<S: Simd>(&self, at: usize, simd: S) -> Fragments<T, S> {
+        // not by `map`: closures that are not inlined call every instruction
+        let [places, alpha, depth] = [&self.places[at..], &self.alpha[at..], &self.depth[at..]];
+        [Lanes::load(simd, places), Lanes::load(simd, alpha), Lanes::load(simd, depth)]
+    }
+
+    #[inline(always)]
+    fn store<S: Simd>(&mut self, at: usize, [place, alpha, depth]: Fragments<T, S>) {
+        place.store(&mut self.places[at..]);
+        alpha.store(&mut self.alpha[at..]);
+        depth.store(&mut self.depth[at..]);
+    }
+
+    /// Inserts fragments into the first `slots` of the sorted lists and moves those behind them by one.
+    #[inline(always)]
+    fn insert<S: Simd>(&mut self, start: usize, slots: usize, mut fragments: Fragments<T, S>) {
+        let simd = fragments[2].simd();
+        let Some(last) = slots.checked_sub(1) else { return };
+        // most fragments lie behind a full list
+        if !is_before(fragments, self.load(last * TILE_PIXELS + start, simd)).any() {
             return;
         }
-        for layer in 0..self.count {
+        for layer in 0..slots {
             let at = layer * TILE_PIXELS + start;
-            let slot_depth = Lanes::load(simd, &self.depth[at..]);
-            moves = if layer == 0 { depth.below(slot_depth) } else { moves | depth.below(slot_depth) };
-            let swap = |moving: &mut Lanes<T, S>, slot: &mut [T]| {
-                let own = Lanes::load(simd, slot);
-                Lanes::select(moves, *moving, own).store(slot);
-                *moving = Lanes::select(moves, own, *moving);
-            };
-            swap(&mut depth, &mut self.depth[at..]);
-            swap(&mut alpha, &mut self.alpha[at..]);
-            swap(&mut place, &mut self.places[at..]);
+            let own = self.load(at, simd);
+            let moves = is_before(fragments, own);
+            self.store(at, select(moves, fragments, own));
+            fragments = select(moves, own, fragments);
         }
     }
 
-    /// Makes the core the last layer of the pixels whose other layers are all rims before it.
-    fn stop(&mut self, cores: &TileCores<T>) {
-        for pixel in (0..TILE_PIXELS).filter(|&pixel| cores.depth[pixel] < T::INFINITY) {
-            let has_core = (0..self.count).any(|layer| self.alpha[layer * TILE_PIXELS + pixel] >= T::one());
-            if !has_core {
-                let at = (self.count - 1) * TILE_PIXELS + pixel;
-                (self.places[at], self.alpha[at], self.depth[at]) = (cores.places[pixel], T::one(), cores.depth[pixel]);
-            }
-        }
-    }
-
+    /// Leaves out what lies behind the `cores`, and puts these where they belong. They are not among the first `others` slots,
+    /// and the last slot is empty.
     #[inline(always)]
+    fn stop<S: Simd>(&mut self, cores: &TileCores<T>, others: usize, simd: S) {
+        let absent = [T::of(NONE), T::zero(), T::INFINITY].map(|value| Lanes::splat(simd, value));
+        for start in (0..TILE_PIXELS).step_by(T::lane_count::<S>()) {
+            for at in (0..others).map(|layer| layer * TILE_PIXELS + start) {
+                let own = self.load(at, simd);
+                let is_layer = Lanes::load(simd, &cores.ends[start..]).at_least(own[2]);
+                self.store(at, select(is_layer, own, absent));
+            }
+            let (place, depth) = (Lanes::load(simd, &cores.places[start..]), Lanes::load(simd, &cores.depth[start..]));
+            self.insert(start, self.count, [place, Lanes::splat(simd, T::one()), depth]);
+        }
+    }
+
+    /// Leaves out what lies behind an opaque layer.
     fn end_behind_opaque(&mut self) {
         for pixel in 0..TILE_PIXELS {
             let mut opaque = false;
@@ -147,16 +180,32 @@ impl<T: Real> TileLayers<'_, T> {
     }
 }
 
+/// `a` where `mask` is set, else `b`.
+#[inline(always)]
+fn select<T: Real, S: Simd>(mask: Mask<T, S>, a: Fragments<T, S>, b: Fragments<T, S>) -> Fragments<T, S> {
+    [Lanes::select(mask, a[0], b[0]), Lanes::select(mask, a[1], b[1]), Lanes::select(mask, a[2], b[2])]
+}
+
+/// Which fragments `a` come before `b` in the order of (depth, index).
+#[inline(always)]
+fn is_before<T: Real, S: Simd>(a: Fragments<T, S>, b: Fragments<T, S>) -> Mask<T, S> {
+    a[2].below(b[2]) | (b[2].at_least(a[2]) & a[0].below(b[0]))
+}
+
 /// ids, alpha and depth as [K, H, W].
 fn forward<T: Real>(surfels: &SurfelRows<T>, camera: &Camera, options: &PeelOptions) -> (Vec<i32>, Vec<T>, Vec<T>) {
     let grid = TileGrid::new(camera.width, camera.height);
     let rays = rays(camera);
     let camera = CameraOf::<f64>::new(camera);
     let discs = surfels.discs(&camera);
-    let radius = options.footprint.radius(options.modulation);
-    let reach = |disc: &Disc| radius.map_or(PixelRect::EMPTY, |radius| disc.reach(&camera, radius));
-    let rects: Vec<PixelRect> = discs.par_iter().map(reach).collect();
-    let planes: Vec<Plane<T>> = discs.par_iter().map(|disc| disc.plane.cast()).collect();
+    let squared_radius = options.footprint.squared_radius(options.modulation);
+    let seen = |(id, disc): (usize, &Disc)| {
+        let (rect, nearest) = (disc.reach(&camera, squared_radius), T::of(disc.nearest(squared_radius)));
+        Candidate { id: id as u32, rect, nearest, plane: disc.plane.cast() }
+    };
+    let mut candidates: Vec<Candidate<T>> = discs.par_iter().enumerate().map(seen).collect();
+    candidates.retain(|candidate| !candidate.rect.is_empty());
+    let rects: Vec<PixelRect> = candidates.iter().map(|candidate| candidate.rect).collect();
     let near = T::of(camera.near);
     let lists = bin(&rects, grid, |_, _, _| true);
     let layers = options.layer_count;
@@ -166,12 +215,12 @@ fn forward<T: Real>(surfels: &SurfelRows<T>, camera: &Camera, options: &PeelOpti
     let mut depth = vec![T::INFINITY; grid.len() * block];
     ids.par_chunks_mut(block).zip(alpha.par_chunks_mut(block)).zip(depth.par_chunks_mut(block)).enumerate().for_each(
         |(tile, ((ids, alpha), depth))| {
-            let (candidates, origin) = (lists.of(tile), grid.origin(tile));
+            let (list, origin) = (lists.of(tile), grid.origin(tile));
             let rays = rays.as_ref().map(|rays| rays_of_tile(rays, grid, origin));
             let places = vec![T::of(NONE); block];
             let layers = TileLayers { count: layers, places, alpha, depth };
-            let (planes, rects) = (&planes, &rects);
-            vectorised(PeelTile { candidates, planes, rects, origin, near, options, rays, ids, layers });
+            let (candidates, margins) = (&candidates, &surfels.margins);
+            vectorised(PeelTile { list, candidates, margins, origin, near, options, rays, ids, layers });
         },
     );
     (to_planes(&ids, layers, grid), to_planes(&alpha, layers, grid), to_planes(&depth, layers, grid))
@@ -187,11 +236,20 @@ fn rays_of_tile<T: Real>(rays: &[V3<f64>], grid: TileGrid, (left, top): (usize, 
     [0, 1, 2].map(|axis| std::array::from_fn(|at| ray(at)[axis]))
 }
 
+/// A surfel in view.
+struct Candidate<T> {
+    id: u32,
+    rect: PixelRect,
+    /// No fragment is before this depth.
+    nearest: T,
+    plane: Plane<T>,
+}
+
 /// Peels a tile.
 struct PeelTile<'a, T> {
-    candidates: &'a [u32],
-    planes: &'a [Plane<T>],
-    rects: &'a [PixelRect],
+    list: &'a [u32],
+    candidates: &'a [Candidate<T>],
+    margins: &'a [T],
     origin: (usize, usize),
     near: T,
     options: &'a PeelOptions,
@@ -207,21 +265,34 @@ impl<T: Real> WithSimd for PeelTile<'_, T> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { candidates, planes, rects, origin, near, options, rays, ids, mut layers } = self;
-        let mut cores = options.backstop.then(TileCores::none);
-        let all = |value: T| Lanes::splat(simd, value);
-        let (modulation, near, one) = (all(T::of(options.modulation)), all(near), all(T::one()));
-        let (cutoff, min_facing) = (all(T::of(CUTOFF)), all(T::of(MIN_FACING)));
-        let by_kernel = options.footprint == Footprint::Kernel;
-        for (place, &id) in candidates.iter().enumerate() {
-            let (plane, place) = (&planes[id as usize], all(T::of(place as f64)));
+        let Self { list, candidates, margins, origin, near, options, rays, ids, mut layers } = self;
+        let PeelOptions { layer_count, modulation, footprint, peeling } = *options;
+        let candidate = |place: u32| &candidates[list[place as usize] as usize];
+        // from near to far: a core is then known before most of what it hides
+        let mut order: Vec<u32> = (0..list.len() as u32).collect();
+        order.sort_unstable_by(|&a, &b| candidate(a).nearest.as_f64().total_cmp(&candidate(b).nearest.as_f64()));
+        let reach = |id: u32| T::of(ORDER) * margins[id as usize];
+        let furthest = || list.iter().map(|&at| reach(candidates[at as usize].id)).fold(T::zero(), T::max);
+        let mut cores = peeling.is_continuous().then(|| TileCores::none(furthest()));
+        // cores have a slot of their own
+        let others = layer_count - usize::from(cores.is_some());
+        let all = |value: f64| Lanes::splat(simd, T::of(value));
+        let (end, slope) = (all(footprint.squared_radius(modulation)), all(footprint.rim_slope(modulation)));
+        let (near, one, min_facing) = (Lanes::splat(simd, near), all(1.0), all(MIN_FACING));
+        let (half, modulation) = (all(-0.5), all(modulation));
+        for place in order {
+            let Candidate { id, rect, nearest, plane } = candidate(place);
+            let (place, nearest, reach) = (all(f64::from(place)), Lanes::splat(simd, *nearest), reach(*id));
             for_each_lanes(
                 simd,
                 plane.anchor,
-                &rects[id as usize],
+                rect,
                 origin,
                 #[inline(always)]
                 |start, dx, dy| {
+                    if cores.as_ref().is_some_and(|cores| !cores.reach(start, nearest).any()) {
+                        return;
+                    }
                     let [u, v, depth, facing] = match &rays {
                         None => plane.meet(dx, dy),
                         Some(rays) => {
@@ -229,40 +300,44 @@ impl<T: Real> WithSimd for PeelTile<'_, T> {
                             plane.meet_by([axis(0), axis(1), axis(2)])
                         }
                     };
-                    let kernel = (all(T::of(-0.5)) * u.mul_add(u, v * v)).exp_nonpositive();
-                    let opacity = (modulation * kernel).min(one);
-                    let inside = if by_kernel { kernel } else { opacity }.at_least(cutoff);
-                    let exists = min_facing.below(facing.abs()) & near.below(depth) & inside;
+                    let squared = u.mul_add(u, v * v);
+                    let mut exists = min_facing.below(facing.abs()) & near.below(depth) & squared.below(end);
+                    if let Some(cores) = &cores {
+                        exists = exists & cores.reach(start, depth);
+                    }
                     if !exists.any() {
                         return;
                     }
-                    let depth = Lanes::select(exists, depth, all(T::INFINITY));
-                    let fragments = [place, opacity.only(exists), depth];
+                    let opacity = match &cores {
+                        Some(_) => (end - squared) * slope,
+                        None => modulation * (half * squared).exp_nonpositive(),
+                    };
+                    let depth = Lanes::select(exists, depth, Lanes::splat(simd, T::INFINITY));
+                    let mut fragments = [place, opacity.min(one).only(exists), depth];
                     if let Some(cores) = &mut cores {
-                        cores.take_nearer(start, fragments);
+                        fragments = cores.exchange(start, fragments, reach);
                     }
-                    layers.insert(start, fragments);
+                    layers.insert(start, others, fragments);
                 },
             );
         }
-        if let Some(cores) = cores {
-            layers.stop(&cores);
+        match cores {
+            Some(cores) => layers.stop(&cores, others, simd),
+            None => layers.end_behind_opaque(),
         }
-        layers.end_behind_opaque();
         for (id, place) in ids.iter_mut().zip(&layers.places) {
             if *place >= T::zero() {
-                *id = candidates[place.as_f64() as usize] as i32;
+                *id = candidates[list[place.as_f64() as usize] as usize].id as i32;
             }
         }
     }
 }
 
-/// Gradients with respect to positions, quaternions and log-scales.
+/// Gradients with respect to positions, quaternions and log-scales, from those with respect to alpha and depth.
 fn backward<T: Real>(
     surfels: &SurfelRows<T>,
     ids: &[i32],
-    grad: &[T],
-    of: PeelGradient,
+    [of_alpha, of_depth]: [Option<&[T]>; 2],
     camera: &Camera,
     options: &PeelOptions,
 ) -> [Vec<T>; 3] {
@@ -270,19 +345,32 @@ fn backward<T: Real>(
     let rays = rays(camera);
     let camera = CameraOf::<f64>::new(camera);
     let discs = surfels.discs(&camera);
+    let PeelOptions { layer_count, modulation, footprint, peeling } = *options;
+    let (end, slope) = (footprint.squared_radius(modulation), footprint.rim_slope(modulation));
+    // derivative of opacity with respect to the exponent −(u² + v²) / 2
+    let steepness = |squared: f64| {
+        if peeling.is_continuous() {
+            let is_rim = (end - squared) * slope < 1.0;
+            return if is_rim { 2.0 * slope } else { 0.0 };
+        }
+        let opacity = modulation * (-0.5 * squared).exp();
+        if opacity < 1.0 { opacity } else { 0.0 }
+    };
     let bands = Bands::new(height);
     let partial: Vec<Vec<DiscGrad>> = (0..BAND_COUNT)
         .into_par_iter()
         .map(|band| {
             let mut sums = vec![DiscGrad::default(); surfels.len()];
-            for (layer, y) in (0..options.layer_count).flat_map(|layer| bands.rows(band).map(move |y| (layer, y))) {
+            for (layer, y) in (0..layer_count).flat_map(|layer| bands.rows(band).map(move |y| (layer, y))) {
                 let start = (layer * height + y) * width;
                 for x in 0..width {
-                    let (id, grad) = (ids[start + x], grad[start + x].as_f64());
-                    if id < 0 || grad == 0.0 {
+                    let Ok(id) = usize::try_from(ids[start + x]) else { continue };
+                    let [of_alpha, of_depth] =
+                        [of_alpha, of_depth].map(|grads| grads.map_or(0.0, |grads| grads[start + x].as_f64()));
+                    if of_alpha == 0.0 && of_depth == 0.0 {
                         continue;
                     }
-                    let disc = &discs[id as usize];
+                    let disc = &discs[id];
                     let pixel = [x as f64 + 0.5, y as f64 + 0.5];
                     let (hit, offset) = match &rays {
                         None => (disc.plane.hit(pixel[0], pixel[1]), disc.offset(&camera, pixel)),
@@ -291,14 +379,8 @@ fn backward<T: Real>(
                             (disc.plane.hit_by(ray), [ray[2], ray[0], ray[1]])
                         }
                     };
-                    let (grad_kernel, grad_depth) = match of {
-                        PeelGradient::Depth => (0.0, grad),
-                        PeelGradient::Alpha if options.modulation * hit.kernel < 1.0 => {
-                            (options.modulation * grad, 0.0)
-                        }
-                        PeelGradient::Alpha => continue,
-                    };
-                    disc.accumulate(offset, &hit, grad_kernel, grad_depth, &mut sums[id as usize]);
+                    let power = of_alpha * steepness(hit.squared());
+                    disc.accumulate(offset, &hit, power, of_depth, &mut sums[id]);
                 }
             }
             sums
@@ -333,14 +415,19 @@ impl<B: Host> PeelOps for B {
     }
 }
 
-impl<B: Host> WayBack<B, 3> for PeelState<B> {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 3] {
-        let Self { surfels, ids, of, camera, options } = self;
+impl<B: Host> WayBackFromAll<B, 3, 2> for PeelState<B> {
+    fn parents(&self) -> [&FloatTensor<B>; 3] {
+        [&self.surfels.positions, &self.surfels.quaternions, &self.surfels.log_scales]
+    }
+
+    fn go_back_from(self, grads: Grads<B>) -> [Option<FloatTensor<B>>; 3] {
+        let Self { surfels, ids, camera, options } = self;
         let (count, device) = (host::rows(&surfels.positions), surfels.positions.device());
         with_real!(surfels.positions.dtype(), T => {
             let rows = SurfelRows::<T>::new(&surfels);
-            let grad = host::floats::<B, T>(&grad);
-            let [positions, quaternions, log_scales] = backward(&rows, &host::ints::<B>(&ids), &grad, of, &camera, &options);
+            let grads = grads.each_ref().map(|grad| grad.as_ref().map(host::floats::<B, T>));
+            let grads = grads.each_ref().map(Option::as_deref);
+            let [positions, quaternions, log_scales] = backward(&rows, &host::ints::<B>(&ids), grads, &camera, &options);
             [(positions, 3), (quaternions, 4), (log_scales, 2)]
                 .map(|(values, width)| Some(host::float_tensor::<B, T, 2>(values, [count, width], &device)))
         })

@@ -2,19 +2,19 @@
 //! which each surfel is a layer.
 
 use burn::backend::TensorMetadata;
+use burn::backend::ops::FloatTensorOps;
 use burn::tensor::DType;
 use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::autodiff::PeelState;
-use super::{PeelGradient, PeelOps, PeelOptions, PeelOutput, SurfelShapes};
-use crate::backend::tape::WayBack;
+use super::autodiff::Grads;
+use super::{PeelOps, PeelOptions, PeelOutput, PeelState, SurfelShapes};
+use crate::backend::tape::WayBackFromAll;
 use crate::camera::Camera;
-use crate::footprint::gaussian::cube::CUTOFF_F32;
 use crate::footprint::surfel::cube as disc_cube;
 use crate::footprint::surfel::cube::{
-    DISC_SUMS, DiscPixel, DiscTensors, MIN_FACING, PLANE, Plane, Planes, add_sums, bounded_scale, exact_hit_by,
+    DISC_SUMS, DiscPixel, DiscTensors, Hit, MIN_FACING, PLANE, Plane, Planes, add_sums, bounded_scale, exact_hit_by,
 };
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty, empty_f32, floats, integers};
@@ -22,7 +22,7 @@ use crate::gpu::record::Record;
 use crate::gpu::tile::{own_pixel, plane_of};
 use crate::gpu::view::{CameraUniforms, sight};
 use crate::gpu::work_split::{Piece, WORKERS, cube_has_pieces, store_gathered};
-use crate::scene::Footprint;
+use crate::scene::peeling::ORDER;
 use crate::tiles::TileGrid;
 use crate::tiles::binning::boxes::visible_pieces;
 use crate::tiles::binning::capacity::ListKind;
@@ -31,21 +31,73 @@ use crate::tiles::binning::cube::{TileList, bin};
 /// Index of a layer that is missing: −1 as unsigned.
 const NONE: u32 = u32::MAX;
 
+/// How opaque surfels are, see [`Footprint`](crate::scene::Footprint).
+#[derive(CubeType, CubeLaunch, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+struct Rim {
+    /// Squared radius in σ² at which a surfel ends.
+    end: f32,
+    slope: f32,
+    modulation: f32,
+}
+
+/// Opacity at a squared distance from the centre, before it is bounded by 1.
+#[cube]
+fn unbounded_opacity(rim: Rim, squared: f32, #[comptime] continuous: bool) -> f32 {
+    let mut opacity = (rim.end - squared) * rim.slope;
+    if comptime!(!continuous) {
+        opacity = rim.modulation * f32::exp(max(-0.5f32 * squared, -100.0f32));
+    }
+    opacity
+}
+
+#[cube]
+fn squared_distance(hit: Hit) -> f32 {
+    hit.u * hit.u + hit.v * hit.v
+}
+
+/// The sorted fragments of a pixel, by (depth, id); empty slots are at infinity.
+#[derive(CubeType)]
+struct Slots {
+    depth: Array<f32>,
+    alpha: Array<f32>,
+    id: Array<u32>,
+}
+
+/// Inserts a fragment into the first `count` slots and moves those behind it by one.
+#[cube]
+fn insert(slots: &mut Slots, fragment_depth: f32, fragment_alpha: f32, fragment_id: u32, #[comptime] count: usize) {
+    let mut depth = fragment_depth;
+    let mut alpha = fragment_alpha;
+    let mut id = fragment_id;
+    #[unroll]
+    for k in 0..count {
+        let before = depth < slots.depth[k] || (depth == slots.depth[k] && id < slots.id[k]);
+        let (d, a, i) = (slots.depth[k], slots.alpha[k], slots.id[k]);
+        slots.depth[k] = select(before, depth, d);
+        slots.alpha[k] = select(before, alpha, a);
+        slots.id[k] = select(before, id, i);
+        depth = select(before, d, depth);
+        alpha = select(before, a, alpha);
+        id = select(before, i, id);
+    }
+}
+
 #[cube(launch)]
 fn peel_kernel(
     planes: &[f32],
+    margins: &[f32],
     offsets: &[u32],
     ids: &[u32],
     out_ids: &mut [i32],
     out_alpha: &mut [f32],
     out_depth: &mut [f32],
     view: CameraUniforms,
-    modulation: f32,
+    rim: Rim,
     capacity: u32,
     count: u32,
     #[comptime] layers: usize,
-    #[comptime] by_kernel: bool,
-    #[comptime] backstop: bool,
+    #[comptime] continuous: bool,
 ) {
     if CUBE_POS >= (view.columns * view.rows) as usize {
         terminate!();
@@ -54,54 +106,49 @@ fn peel_kernel(
     let pixel = own_pixel(view, CUBE_POS as u32);
     let sight = sight(view, pixel.x, pixel.y);
     let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * PLANE));
-    // slots in ascending order of (depth, id); an empty one is at infinity
-    let mut slot_depth = Array::<f32>::new(layers);
-    let mut slot_alpha = Array::<f32>::new(layers);
-    let mut slot_id = Array::<u32>::new(layers);
+    // cores have a slot of their own
+    let others = comptime!(if continuous { layers - 1 } else { layers });
+    let mut slots =
+        Slots { depth: Array::<f32>::new(layers), alpha: Array::<f32>::new(layers), id: Array::<u32>::new(layers) };
     #[unroll]
     for k in 0..layers {
-        slot_depth[k] = view.infinity;
-        slot_alpha[k] = 0.0f32;
-        slot_id[k] = NONE;
+        slots.depth[k] = view.infinity;
+        slots.alpha[k] = 0.0f32;
+        slots.id[k] = NONE;
     }
-    // the nearest opaque fragment, which more than K rims would push out of the slots
+    // the nearest core so far, and the depth up to which other fragments are layers
     let mut core_depth = view.infinity;
     let mut core_id = NONE.runtime();
+    let mut end = view.infinity;
 
     let batches = list.batches();
     for batch in 0..batches {
         let entries = list.stage(ids, batch, planes, planes, &mut staged, (PLANE, 0));
         for j in 0..entries {
             let found = Plane::load(&staged, j as usize * PLANE).hit_by(view, sight);
-            let opacity = min(modulation * found.kernel, 1.0f32);
-            let mut measure = opacity;
-            if comptime!(by_kernel) {
-                measure = found.kernel;
-            }
-            let exists = f32::abs(found.facing) > MIN_FACING && found.depth > view.near && measure >= CUTOFF_F32;
-            if comptime!(backstop) {
-                let is_core = exists && opacity >= 1.0f32 && found.depth <= core_depth;
-                if is_core {
-                    let id = list.entry(ids, batch * UNITS + j);
-                    let before = found.depth < core_depth || id < core_id;
-                    core_depth = select(before, found.depth, core_depth);
-                    core_id = select(before, id, core_id);
+            let squared = squared_distance(found);
+            let exists = f32::abs(found.facing) > MIN_FACING && found.depth > view.near && squared < rim.end;
+            if exists {
+                let alpha = min(unbounded_opacity(rim, squared, continuous), 1.0f32);
+                let own_id = list.entry(ids, batch * UNITS + j);
+                let mut is_core = false;
+                if comptime!(continuous) {
+                    let nearer = found.depth < core_depth || (found.depth == core_depth && own_id < core_id);
+                    is_core = alpha >= 1.0f32 && nearer;
                 }
-            }
-            if exists && found.depth <= slot_depth[layers - 1] {
-                let mut depth = found.depth;
-                let mut alpha = opacity;
-                let mut id = list.entry(ids, batch * UNITS + j);
-                #[unroll]
-                for k in 0..layers {
-                    let before = depth < slot_depth[k] || (depth == slot_depth[k] && id < slot_id[k]);
-                    let (d, a, i) = (slot_depth[k], slot_alpha[k], slot_id[k]);
-                    slot_depth[k] = select(before, depth, d);
-                    slot_alpha[k] = select(before, alpha, a);
-                    slot_id[k] = select(before, id, i);
-                    depth = select(before, d, depth);
-                    alpha = select(before, a, alpha);
-                    id = select(before, i, id);
+                // a core so far becomes a fragment like others
+                let depth = select(is_core, core_depth, found.depth);
+                let id = select(is_core, core_id, own_id);
+                if is_core {
+                    end = found.depth + comptime!(ORDER as f32) * margins[own_id as usize];
+                    core_depth = found.depth;
+                    core_id = own_id;
+                }
+                #[expect(clippy::collapsible_if, reason = "the outer condition is known before")]
+                if comptime!(others > 0) {
+                    if depth <= slots.depth[others - 1] && id != NONE {
+                        insert(&mut slots, depth, alpha, id, others);
+                    }
                 }
             }
         }
@@ -109,44 +156,49 @@ fn peel_kernel(
 
     if pixel.inside {
         let plane = plane_of(view);
-        if comptime!(backstop) {
-            let mut has_core = false;
+        if comptime!(continuous) {
             #[unroll]
-            for k in 0..layers {
-                has_core = has_core || slot_alpha[k] >= 1.0f32;
+            for k in 0..others {
+                let is_layer = slots.depth[k] <= end;
+                slots.depth[k] = select(is_layer, slots.depth[k], view.infinity);
+                slots.alpha[k] = select(is_layer, slots.alpha[k], 0.0f32);
+                slots.id[k] = select(is_layer, slots.id[k], NONE);
             }
-            if core_id != NONE && !has_core {
-                slot_depth[layers - 1] = core_depth;
-                slot_alpha[layers - 1] = 1.0f32;
-                slot_id[layers - 1] = core_id;
+            if core_id != NONE {
+                insert(&mut slots, core_depth, 1.0f32, core_id, layers);
             }
         }
-        let mut opaque = false;
+        let mut closed = false;
         #[unroll]
         for k in 0..layers {
             let at = k * plane + pixel.at;
-            out_ids[at] = select(opaque, -1i32, i32::reinterpret(slot_id[k]));
-            out_alpha[at] = select(opaque, 0.0f32, slot_alpha[k]);
-            out_depth[at] = select(opaque, view.infinity, slot_depth[k]);
-            opaque = opaque || slot_alpha[k] >= 1.0f32;
+            out_ids[at] = select(closed, -1i32, i32::reinterpret(slots.id[k]));
+            out_alpha[at] = select(closed, 0.0f32, slots.alpha[k]);
+            out_depth[at] = select(closed, view.infinity, slots.depth[k]);
+            if comptime!(!continuous) {
+                closed = closed || slots.alpha[k] >= 1.0f32;
+            }
         }
     }
 }
 
-/// Sums of gradients over the pixels of each piece in which its surfel is a layer.
+/// Sums of gradients over the pixels of each piece in which its surfel is a layer. `grads` holds those of alpha, then those of
+/// depth, in one buffer: WebGPU binds eight at most.
 #[cube(launch)]
 fn gather_kernel(
     planes: &[f32],
     lows: &[f32],
     pieces: &[u32],
     ids: &[i32],
-    grad: &[f32],
+    grads: &[f32],
     sums: &mut [f32],
     view: CameraUniforms,
-    modulation: f32,
+    rim: Rim,
     log_scales: &[f32],
     most: u32,
     #[comptime] layers: usize,
+    #[comptime] continuous: bool,
+    #[comptime] of_alpha: bool,
     #[comptime] of_depth: bool,
 ) {
     if !cube_has_pieces(pieces, most) {
@@ -166,27 +218,35 @@ fn gather_kernel(
         let mut row = first_row;
         while p < piece.end {
             let pixel = (row * view.width + column) as usize;
-            let mut incoming = 0.0f32;
+            let mut incoming_alpha = 0.0f32;
+            let mut incoming_depth = 0.0f32;
             #[unroll]
             for k in 0..layers {
                 if ids[k * plane_size + pixel] == surfel as i32 {
-                    incoming = grad[k * plane_size + pixel];
+                    if comptime!(of_alpha) {
+                        incoming_alpha = grads[k * plane_size + pixel];
+                    }
+                    if comptime!(of_depth) {
+                        let before = comptime!(if of_alpha { layers } else { 0 });
+                        incoming_depth = grads[(before + k) * plane_size + pixel];
+                    }
                 }
             }
-            if incoming != 0.0f32 {
+            if incoming_alpha != 0.0f32 || incoming_depth != 0.0f32 {
                 let sight = sight(view, f32::cast_from(column) + 0.5f32, f32::cast_from(row) + 0.5f32);
                 let plane = Plane::load(planes, surfel * PLANE);
                 let hit = exact_hit_by(view, plane, Plane::load(lows, surfel * PLANE), sight);
                 let shares = plane.shares(view, sight);
                 let (across, down) = (shares.y, shares.z);
-                if comptime!(of_depth) {
-                    let pixel = DiscPixel { hit, across, down, scale_u, scale_v, power: 0.0f32, grad_depth: incoming };
-                    add_sums(&mut own, pixel, shares.x, false, true);
-                } else if modulation * hit.kernel < 1.0f32 {
-                    let power = modulation * incoming * hit.kernel;
-                    let pixel = DiscPixel { hit, across, down, scale_u, scale_v, power, grad_depth: 0.0f32 };
-                    add_sums(&mut own, pixel, shares.x, true, false);
+                // a core's opacity does not change
+                let opacity = unbounded_opacity(rim, squared_distance(hit), continuous);
+                let mut steepness = 2.0f32 * rim.slope;
+                if comptime!(!continuous) {
+                    steepness = opacity;
                 }
+                let power = select(opacity < 1.0f32, steepness * incoming_alpha, 0.0f32);
+                let pixel = DiscPixel { hit, across, down, scale_u, scale_v, power, grad_depth: incoming_depth };
+                add_sums(&mut own, pixel, shares.x, of_alpha, of_depth);
             }
             let (next_column, next_row) = piece.next(stride, column, row);
             column = next_column;
@@ -202,8 +262,17 @@ fn discs(surfels: &SurfelShapes<CubeBackend>) -> DiscTensors<'_> {
 }
 
 fn setup(surfels: &SurfelShapes<CubeBackend>, camera: &Camera, options: &PeelOptions) -> Planes {
-    let radius = options.footprint.radius(options.modulation).map_or(-1.0, |radius| radius as f32);
+    let squared = options.footprint.squared_radius(options.modulation);
+    let radius = if squared < 0.0 { -1.0 } else { squared.sqrt() as f32 };
     disc_cube::planes(&discs(surfels), None, Some(radius), camera)
+}
+
+impl RimLaunch {
+    fn of(options: &PeelOptions) -> Self {
+        let PeelOptions { footprint, modulation, .. } = *options;
+        let [end, slope] = [footprint.squared_radius(modulation), footprint.rim_slope(modulation)];
+        Self::new(end as f32, slope as f32, modulation as f32)
+    }
 }
 
 fn contiguous(surfels: SurfelShapes<CubeBackend>) -> SurfelShapes<CubeBackend> {
@@ -224,30 +293,35 @@ impl PeelOps for CubeBackend {
             cubes(TileGrid::new(camera.width, camera.height).len()),
             cube_dim(),
             buffer(&planes),
+            buffer(&surfels.margins),
             buffer(&lists.offsets),
             buffer(&lists.ids),
             buffer(&ids),
             buffer(&alpha),
             buffer(&depth),
             CameraUniforms::launch(&camera),
-            options.modulation as f32,
+            RimLaunch::of(&options),
             lists.capacity,
             count as u32,
             options.layer_count,
-            options.footprint == Footprint::Kernel,
-            options.backstop,
+            options.peeling.is_continuous(),
         );
         PeelOutput { ids, alpha, depth }
     }
 }
 
-impl WayBack<CubeBackend, 3> for PeelState<CubeBackend> {
-    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 3] {
-        let Self { surfels, ids, of, camera, options } = self;
-        let surfels = contiguous(surfels);
-        let (ids, grad) = (integers(ids), floats(grad));
+impl WayBackFromAll<CubeBackend, 3, 2> for PeelState<CubeBackend> {
+    fn parents(&self) -> [&CubeTensor; 3] {
+        [&self.surfels.positions, &self.surfels.quaternions, &self.surfels.log_scales]
+    }
+
+    fn go_back_from(self, grads: Grads<CubeBackend>) -> [Option<CubeTensor>; 3] {
+        let Self { surfels, ids, camera, options } = self;
+        let (surfels, ids) = (contiguous(surfels), integers(ids));
         let like = surfels.positions.clone();
         let (client, count) = (like.client.clone(), like.shape()[0]);
+        let [of_alpha, of_depth] = grads.each_ref().map(Option::is_some);
+        let grads = floats(CubeBackend::float_cat(grads.into_iter().flatten().collect(), 0));
         let Planes { planes, lows, .. } = setup(&surfels, &camera, &options);
         let pieces = visible_pieces(&ids, count);
         let gathered = empty_f32(&like, [pieces.most, DISC_SUMS]);
@@ -259,18 +333,21 @@ impl WayBack<CubeBackend, 3> for PeelState<CubeBackend> {
             buffer(&lows),
             buffer(&pieces.pieces),
             buffer(&ids),
-            buffer(&grad),
+            buffer(&grads),
             buffer(&gathered),
             CameraUniforms::launch(&camera),
-            options.modulation as f32,
+            RimLaunch::of(&options),
             buffer(&surfels.log_scales),
             pieces.most as u32,
             options.layer_count,
-            of == PeelGradient::Depth,
+            options.peeling.is_continuous(),
+            of_alpha,
+            of_depth,
         );
         let sums = pieces.collect(&gathered, 0, DISC_SUMS);
-        let out = SurfelShapes::from_array([3, 4, 2].map(|width| empty_f32(&like, [count, width])));
-        disc_cube::backward(&discs(&surfels), &sums, &camera, &discs(&out));
-        out.into_array().map(Some)
+        let [positions, quaternions, log_scales] = [3, 4, 2].map(|width| empty_f32(&like, [count, width]));
+        let out = DiscTensors { positions: &positions, quaternions: &quaternions, log_scales: &log_scales };
+        disc_cube::backward(&discs(&surfels), &sums, &camera, &out);
+        [positions, quaternions, log_scales].map(Some)
     }
 }

@@ -1,13 +1,15 @@
-//! `peel`: the K nearest surfel fragments of every pixel, nearest first.
+//! `peel`: the surfel fragments of every pixel that its picture is made of, nearest first.
 //!
-//! Surfels → ids, opacity and depth, each [K, H, W] (plane k is layer k). Layers are ordered by
-//! (depth, index); peeling stops behind an opaque fragment (alpha = 1). With a backstop, the last layer
-//! is the nearest opaque fragment if K or more rims lie before it. A missing layer has id −1, alpha 0 and
-//! depth +∞. Opacity is `min(1, w G)` with `G = exp(−(u² + v²) / 2)` at the hit of the
-//! ray through the pixel's centre with the surfel's plane (DP-GES, "surfel opacity").
+//! Surfels → ids, opacity and depth, each [K, H, W] (plane k is layer k), ordered by (depth, index). A missing layer has
+//! id −1, alpha 0 and depth +∞. A *core* is a fragment of opacity 1.
+//! * [`Peeling::Continuous`]: the nearest core, and the K − 1 nearest of the other fragments up to [`ORDER`] ε behind it, with
+//!   the margin ε of its surfel; without a core the K − 1 nearest. Opacity is `clamp((R² − u² − v²) slope, 0, 1)` at the hit of the
+//!   ray through the pixel's centre with the surfel's plane, (u, v) in σ: 1 where w G ≥ 1, 0 where the surfel ends.
+//! * otherwise: the K nearest, none behind a core, with opacity `min(1, w G)`, `G = exp(−(u² + v²) / 2)` (DP-GES, "surfel
+//!   opacity").
 //!
-//! Gradients: from alpha and from depth to positions, quaternions and log-scales. An opaque
-//! fragment's alpha has none. Which fragment forms which layer carries none.
+//! Gradients: from alpha and from depth to positions, quaternions and log-scales. A core's alpha has none. Which fragment
+//! forms which layer carries none.
 
 mod autodiff;
 mod cpu;
@@ -22,8 +24,10 @@ use burn::tensor::{Int, Tensor};
 
 use crate::camera::Camera;
 use crate::error::{Error, Result};
-use crate::scene::tensors::check_shape;
-use crate::scene::{Footprint, SceneInfo};
+#[cfg(doc)]
+use crate::scene::peeling::ORDER;
+use crate::scene::tensors::flat;
+use crate::scene::{Footprint, Peeling, SceneInfo, Surfels};
 use crate::tiles::capacity::within_capacity;
 
 /// Largest number of layers.
@@ -34,29 +38,23 @@ pub const MAX_LAYERS: usize = 8;
 pub struct PeelOptions {
     /// K, 1 to [`MAX_LAYERS`].
     pub layer_count: usize,
-    /// w: opacity is min(1, w G).
+    /// w: a surfel is opaque where w G ≥ 1.
     pub modulation: f64,
     pub footprint: Footprint,
-    /// Whether the nearest opaque fragment is always a layer: of the rims before it, the K − 1 nearest are the others.
-    /// Otherwise the layers are the K nearest fragments, opaque or not (DP-GES), and what is behind K rims shows through.
-    pub backstop: bool,
+    pub peeling: Peeling,
 }
 
 impl Default for PeelOptions {
-    /// The options of DP-GES: 3 layers, w = 30, footprint to G = 1/255, no backstop.
+    /// Those of a scene by default.
     fn default() -> Self {
-        Self { layer_count: 3, modulation: 30.0, footprint: Footprint::Kernel, backstop: false }
+        Self::from(&SceneInfo::default())
     }
 }
 
 impl From<&SceneInfo> for PeelOptions {
     fn from(info: &SceneInfo) -> Self {
-        Self {
-            layer_count: info.layer_count,
-            modulation: info.modulation,
-            footprint: info.footprint,
-            backstop: info.backstop,
-        }
+        let &SceneInfo { layer_count, modulation, footprint, peeling, .. } = info;
+        Self { layer_count, modulation, footprint, peeling }
     }
 }
 
@@ -108,25 +106,29 @@ pub struct SurfelShapes<B: Backend> {
     pub quaternions: FloatTensor<B>,
     /// [N, 2]
     pub log_scales: FloatTensor<B>,
+    /// `[N]`, without gradient
+    pub margins: FloatTensor<B>,
 }
 
 impl<B: Backend> SurfelShapes<B> {
     /// In the order of the fields.
-    fn into_array(self) -> [FloatTensor<B>; 3] {
-        [self.positions, self.quaternions, self.log_scales]
+    fn into_array(self) -> [FloatTensor<B>; 4] {
+        [self.positions, self.quaternions, self.log_scales, self.margins]
     }
 
     /// In the order of the fields.
-    fn from_array([positions, quaternions, log_scales]: [FloatTensor<B>; 3]) -> Self {
-        Self { positions, quaternions, log_scales }
+    fn from_array([positions, quaternions, log_scales, margins]: [FloatTensor<B>; 4]) -> Self {
+        Self { positions, quaternions, log_scales, margins }
     }
 }
 
-/// The output of [`peel`] that an incoming gradient belongs to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PeelGradient {
-    Alpha,
-    Depth,
+/// The state for the way back from alpha and depth.
+#[derive(Debug, Clone)]
+pub struct PeelState<B: Backend> {
+    surfels: SurfelShapes<B>,
+    ids: IntTensor<B>,
+    camera: Camera,
+    options: PeelOptions,
 }
 
 #[backend_extension(
@@ -139,26 +141,22 @@ pub trait PeelOps: Backend {
     fn peel(#[extension_type] surfels: SurfelShapes<Self>, camera: Camera, options: PeelOptions) -> PeelOutput<Self>;
 }
 
-/// Peels surfels with `positions` [N, 3], `quaternions` [N, 4] and `log_scales` [N, 2].
+/// Peels `surfels`.
 ///
 /// # Errors
 /// [`Error::Shape`], [`Error::Camera`] or [`Error::Option`] if the input is invalid, [`Error::Capacity`] if the tile lists or
 /// the layers do not fit a buffer.
-pub fn peel(
-    positions: &Tensor<2>,
-    quaternions: &Tensor<2>,
-    log_scales: &Tensor<2>,
-    camera: &Camera,
-    options: &PeelOptions,
-) -> Result<Layers> {
+pub fn peel(surfels: &Surfels, camera: &Camera, options: &PeelOptions) -> Result<Layers> {
     camera.validate()?;
     options.validate()?;
-    let count = positions.dims()[0];
-    check_shape("surfels.positions", positions, [count, 3])?;
-    check_shape("surfels.quaternions", quaternions, [count, 4])?;
-    check_shape("surfels.log_scales", log_scales, [count, 2])?;
-    let surfels =
-        SurfelShapes::from_array([positions, quaternions, log_scales].map(|tensor| tensor.clone().into_dispatch()));
+    surfels.check_shapes()?;
+    let Surfels { positions, quaternions, log_scales, margins, .. } = surfels;
+    let surfels = SurfelShapes {
+        positions: positions.clone().into_dispatch(),
+        quaternions: quaternions.clone().into_dispatch(),
+        log_scales: log_scales.clone().into_dispatch(),
+        margins: flat(margins).into_dispatch(),
+    };
     let out = within_capacity(|| Dispatch::peel(surfels, *camera, *options))?;
     Ok(Layers {
         ids: Tensor::from_dispatch(out.ids),

@@ -3,13 +3,13 @@ mod lens;
 use burn::tensor::Tensor;
 use glam::DVec3;
 
-use super::{Layers, PeelGradient, PeelOptions, peel};
+use super::{Layers, PeelOptions, peel};
 use crate::camera::Camera;
-use crate::footprint::CUTOFF;
 use crate::footprint::surfel::cpu::{Disc, MIN_FACING, Parameters};
 use crate::math::{CameraOf, M3, V3, add, apply, column, dot, rotation, scale, sub};
-use crate::ops::fixtures::{self, SURFEL_NAMES, SURFEL_WIDTHS, check_rows, leaves_of, surfel_rows};
-use crate::scene::{ColourModel, Footprint};
+use crate::ops::fixtures::{self, SURFEL_NAMES, SURFEL_WIDTHS, check_rows, constant, leaves_of, surfel_rows, wide};
+use crate::scene::peeling::ORDER;
+use crate::scene::{Colour, ColourModel, Footprint, Peeling, Surfels};
 use crate::testing::golden::values;
 use crate::testing::random::Random;
 use crate::testing::scenes::{self, Recipe};
@@ -43,9 +43,14 @@ impl Dense {
         let depth = dot(self.axes[2], self.centre) / facing;
         let hit = sub(scale(ray, depth), self.centre);
         let [u, v] = [0, 1].map(|i| dot(hit, self.axes[i]) / self.scales[i]);
-        let kernel = (-0.5 * (u * u + v * v)).exp();
-        let alpha = (options.modulation * kernel).min(1.0);
-        let inside = if options.footprint == Footprint::Kernel { kernel } else { alpha } >= CUTOFF;
+        let squared = u * u + v * v;
+        let (end, core) = (options.footprint.squared_radius(options.modulation), 2.0 * options.modulation.ln());
+        let inside = squared < end;
+        let alpha = match options.peeling {
+            Peeling::Continuous if core < end => ((end - squared) / (end - core)).min(1.0),
+            Peeling::Continuous => 1.0,
+            Peeling::Nearest | Peeling::Literal => (options.modulation * (-0.5 * squared).exp()).min(1.0),
+        };
         (facing.abs() > MIN_FACING && depth > camera.near && inside).then_some((depth, alpha))
     }
 
@@ -57,22 +62,23 @@ impl Dense {
     }
 }
 
-/// Positions, quaternions and log-scales, row-major.
+/// Positions, quaternions and log-scales, row-major; margins.
 #[derive(Clone)]
-struct Flat([Vec<f64>; 3]);
+struct Flat([Vec<f64>; 3], Vec<f64>);
 
 impl Flat {
     fn random(seed: u64, recipe: &Recipe) -> (Self, Camera) {
         let scene = scenes::random(seed, recipe);
-        (Self(surfel_rows(&scene.surfels)), scene.camera)
+        (Self(surfel_rows(&scene.surfels), wide(&scene.surfels.margins)), scene.camera)
     }
 
     fn of(surfels: &[Parameters]) -> Self {
-        Self([
+        let rows = [
             surfels.iter().flat_map(|s| s.position).collect(),
             surfels.iter().flat_map(|s| s.quaternion).collect(),
             surfels.iter().flat_map(|s| s.log_scales).collect(),
-        ])
+        ];
+        Self(rows, (0..surfels.len()).map(|i| 0.5 * (i % 4) as f64).collect())
     }
 
     fn len(&self) -> usize {
@@ -92,7 +98,7 @@ impl Flat {
     }
 
     fn peel(&self, camera: &Camera, options: &PeelOptions) -> Layers {
-        peeled(&self.leaves(), camera, options)
+        peeled(&self.leaves(), &self.1, camera, options)
     }
 
     /// The layers by sorting every fragment of every pixel; [K, H, W].
@@ -108,22 +114,31 @@ impl Flat {
             let mut fragments: Vec<Fragment> = surfels.iter().enumerate().filter_map(fragment).collect();
             fragments.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             let core = fragments.iter().position(|fragment| fragment.2 >= 1.0);
-            if let Some(core) = core.filter(|&core| options.backstop && core >= options.layer_count) {
-                fragments.drain(options.layer_count - 1..core);
+            if options.peeling == Peeling::Continuous {
+                let core = core.map(|core| fragments.remove(core));
+                let end = core.map_or(f64::INFINITY, |core| core.0 + ORDER * self.1[core.1]);
+                fragments.retain(|fragment| fragment.0 <= end);
+                fragments.truncate(options.layer_count - 1);
+                fragments.extend(core);
+                fragments.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            } else {
+                fragments.truncate(core.map_or(options.layer_count, |core| options.layer_count.min(core + 1)));
             }
-            for (k, fragment) in fragments.into_iter().take(options.layer_count).enumerate() {
+            for (k, fragment) in fragments.into_iter().enumerate() {
                 out[k * plane + at] = Some(fragment);
-                if fragment.2 >= 1.0 {
-                    break;
-                }
             }
         }
         out
     }
 }
 
-fn peeled([positions, quaternions, log_scales]: &[Tensor<2>; 3], camera: &Camera, options: &PeelOptions) -> Layers {
-    peel(positions, quaternions, log_scales, camera, options).unwrap()
+fn peeled(rows: &[Tensor<2>; 3], margins: &[f64], camera: &Camera, options: &PeelOptions) -> Layers {
+    let [positions, quaternions, log_scales] = rows.each_ref().map(Tensor::clone);
+    let count = margins.len();
+    let none = |width: usize| constant(&vec![0.0; count * width], [count, width]);
+    let colour = Colour::new(ColourModel::SphericalBeta { lobes: 0 }, none(3), none(0));
+    let surfels = Surfels { positions, quaternions, log_scales, colour, margins: constant(margins, [count, 1]) };
+    peel(&surfels, camera, options).unwrap()
 }
 
 fn ids_of(layers: &Layers) -> Vec<i64> {
@@ -146,7 +161,7 @@ fn assert_same(layers: &Layers, expected: &[Option<Fragment>]) {
 }
 
 fn options(layer_count: usize, modulation: f64, footprint: Footprint) -> PeelOptions {
-    PeelOptions { layer_count, modulation, footprint, backstop: false }
+    PeelOptions { layer_count, modulation, footprint, peeling: Peeling::Continuous }
 }
 
 fn axis_camera(width: usize, height: usize) -> Camera {
@@ -186,10 +201,10 @@ fn every_kind(count: usize) -> Vec<Parameters> {
 /// Fragments of each kind of discs, all within the reach of their disc.
 fn fragments_within_reach(name: &str, camera: &Camera, options: &PeelOptions, count: usize) -> [usize; 6] {
     let of = CameraOf::new(camera);
-    let radius = options.footprint.radius(options.modulation).unwrap();
+    let squared_radius = options.footprint.squared_radius(options.modulation);
     let mut fragments = [0; 6];
     for (i, surfel) in every_kind(count).iter().enumerate() {
-        let rect = Disc::new(&of, surfel).reach(&of, radius);
+        let rect = Disc::new(&of, surfel).reach(&of, squared_radius);
         let dense = Dense::new(&of, surfel);
         for (x, y) in (0..30).flat_map(|y| (0..40).map(move |x| (x, y))) {
             if dense.fragment(&of, options, f64::from(x) + 0.5, f64::from(y) + 0.5).is_some() {
@@ -216,7 +231,8 @@ fn reach_is_tight_to_a_hundred_thousandth_of_a_pixel() {
     const MAGNIFIED: f64 = 1e5;
     let camera = axis_camera(40, 30).resized(40 * MAGNIFIED as usize, 30 * MAGNIFIED as usize);
     let of = CameraOf::new(&camera);
-    let radius = Footprint::Kernel.radius(30.0).unwrap();
+    let squared_radius = Footprint::Kernel.squared_radius(30.0);
+    let radius = squared_radius.sqrt();
     let mut compared = 0;
     for surfel in every_kind(1200).iter().filter(|s| s.log_scales.iter().all(|s| *s < 1.0)) {
         let dense = Dense::new(&of, surfel);
@@ -231,7 +247,7 @@ fn reach_is_tight_to_a_hundred_thousandth_of_a_pixel() {
         };
         let ([x0, x1], [y0, y1]) = (range(0, of.fx, of.cx), range(1, of.fy, of.cy));
         let expected = PixelRect::covering([x0, x1, y0, y1], camera.width, camera.height);
-        let found = Disc::new(&of, surfel).reach(&of, radius);
+        let found = Disc::new(&of, surfel).reach(&of, squared_radius);
         if expected.is_empty() || found.is_empty() {
             let sides = |r: &PixelRect| (r.x1 - r.x0).min(r.y1 - r.y0);
             assert!(sides(&expected) <= 2 && sides(&found) <= 2, "{surfel:?}: {found:?}, expected {expected:?}");
@@ -247,27 +263,27 @@ fn reach_is_tight_to_a_hundred_thousandth_of_a_pixel() {
 
 #[test]
 fn peeling_equals_sorting_all_fragments() {
-    let (mut deepest, mut pushed_out) = (0, 0);
+    let (mut deepest, mut others) = (0, 0);
     for layers in 1..=8 {
         for (seed, footprint) in [(1, Footprint::Kernel), (2, Footprint::Opacity)] {
             for modulation in [30.0, 0.8] {
                 let recipe = Recipe { surfels: 40, gaussians: 0, ..Recipe::default() };
                 let (surfels, camera) = Flat::random(seed + 10 * layers as u64, &recipe);
-                let literal = options(layers, modulation, footprint);
-                let expected = surfels.peel_densely(&camera, &literal);
-                let last = &expected[(layers - 1) * camera.width * camera.height..];
+                let continuous = options(layers, modulation, footprint);
+                let expected = surfels.peel_densely(&camera, &continuous);
+                assert_same(&surfels.peel(&camera, &continuous), &expected);
+                let nearest = PeelOptions { peeling: Peeling::Nearest, ..continuous };
+                let expected_nearest = surfels.peel_densely(&camera, &nearest);
+                let last = &expected_nearest[(layers - 1) * camera.width * camera.height..];
                 deepest = if last.iter().any(Option::is_some) { layers } else { deepest };
-                assert_same(&surfels.peel(&camera, &literal), &expected);
-                let stopped = PeelOptions { backstop: true, ..literal };
-                let expected_stopped = surfels.peel_densely(&camera, &stopped);
-                pushed_out +=
-                    expected.iter().zip(&expected_stopped).filter(|(literal, stopped)| literal != stopped).count();
-                assert_same(&surfels.peel(&camera, &stopped), &expected_stopped);
+                let id = |fragment: &Option<Fragment>| fragment.map(|fragment| fragment.1);
+                others += expected.iter().zip(&expected_nearest).filter(|(a, b)| id(a) != id(b)).count();
+                assert_same(&surfels.peel(&camera, &nearest), &expected_nearest);
             }
         }
     }
     assert_eq!(deepest, 8);
-    assert!(pushed_out > 100, "{pushed_out}");
+    assert!(others > 100, "{others}");
 }
 
 #[test]
@@ -284,7 +300,7 @@ fn peeling_equals_sorting_for_discs_of_every_kind_and_images_of_every_size() {
 
 #[test]
 fn nothing_peels_to_nothing() {
-    let layers = Flat::of(&[]).peel(&axis_camera(19, 5), &PeelOptions::default());
+    let layers = Flat::of(&[]).peel(&axis_camera(19, 5), &options(3, 30.0, Footprint::Kernel));
     assert_same(&layers, &[None; 3 * 19 * 5]);
     let unseen = Flat::of(&every_kind(12)).peel(&axis_camera(19, 5), &options(2, 1e-3, Footprint::Opacity));
     assert_same(&unseen, &[None; 2 * 19 * 5]);
@@ -296,9 +312,10 @@ fn facing_disc(depth: f64, offset: f64) -> Parameters {
 }
 
 /// Ids of the layers of a pixel that looks along the axis.
-fn ids_on_axis(surfels: &[Parameters], layer_count: usize, backstop: bool) -> Vec<i64> {
-    let options = PeelOptions { backstop, ..options(layer_count, 30.0, Footprint::Kernel) };
-    ids_of(&Flat::of(surfels).peel(&axis_camera(1, 1), &options))
+fn ids_on_axis(surfels: &[Parameters], margin: f64, layer_count: usize, peeling: Peeling) -> Vec<i64> {
+    let options = PeelOptions { peeling, ..options(layer_count, 30.0, Footprint::Kernel) };
+    let surfels = Flat(Flat::of(surfels).0, vec![margin; surfels.len()]);
+    ids_of(&surfels.peel(&axis_camera(1, 1), &options))
 }
 
 /// Opacity 1 within 2.6 σ, a rim from there to 3.33 σ.
@@ -312,7 +329,7 @@ fn opaque(depth: f64) -> Parameters {
 
 #[test]
 fn ties_in_depth_are_broken_by_index_and_nothing_lies_behind_an_opaque_fragment() {
-    let ids = |surfels: &[Parameters], layers: usize| ids_on_axis(surfels, layers, false);
+    let ids = |surfels: &[Parameters], layers: usize| ids_on_axis(surfels, 0.3, layers, Peeling::Nearest);
     assert_eq!(ids(&[rim(2.0), rim(2.0), rim(1.0), rim(2.0)], 4), [2, 0, 1, 3]);
     assert_eq!(ids(&[rim(2.0), rim(2.0), rim(1.0), rim(2.0)], 2), [2, 0]);
     assert_eq!(ids(&[rim(3.0), opaque(2.0), rim(1.0), opaque(2.0)], 4), [2, 1, -1, -1]);
@@ -322,16 +339,44 @@ fn ties_in_depth_are_broken_by_index_and_nothing_lies_behind_an_opaque_fragment(
 }
 
 #[test]
-fn the_nearest_opaque_fragment_is_the_last_layer_with_a_backstop() {
-    let ids = |surfels: &[Parameters], layers: usize| ids_on_axis(surfels, layers, true);
+fn the_nearest_core_is_a_layer_and_the_others_end_a_little_behind_it() {
     let three_rims = [rim(3.0), opaque(5.0), rim(1.0), opaque(4.0), rim(2.0), opaque(4.0)];
-    assert_eq!(ids(&three_rims, 1), [3]);
-    assert_eq!(ids(&three_rims, 2), [2, 3]);
-    assert_eq!(ids(&three_rims, 3), [2, 4, 3]);
-    assert_eq!(ids(&three_rims, 4), [2, 4, 0, 3]);
-    assert_eq!(ids(&three_rims, 5), [2, 4, 0, 3, -1]);
-    // without an opaque fragment nothing changes
-    assert_eq!(ids(&[rim(4.0), rim(3.0), rim(2.0), rim(1.0)], 2), [3, 2]);
+    let ids = |margin: f64, layers: usize| ids_on_axis(&three_rims, margin, layers, Peeling::Continuous);
+    assert_eq!(ids(0.0, 1), [3]);
+    assert_eq!(ids(0.0, 2), [2, 3]);
+    assert_eq!(ids(0.0, 3), [2, 4, 3]);
+    assert_eq!(ids(0.0, 4), [2, 4, 0, 3]);
+    // at the same depth, and no further
+    assert_eq!(ids(0.0, 6), [2, 4, 0, 3, 5, -1]);
+    assert_eq!(ids(9.9, 6), [2, 4, 0, 3, 5, -1]);
+    assert_eq!(ids(10.1, 6), [2, 4, 0, 3, 5, 1]);
+    // a core that comes first, and one that takes its place later
+    let two_cores = [opaque(2.0), rim(2.0), opaque(1.5), rim(1.0)];
+    assert_eq!(ids_on_axis(&two_cores, 0.0, 4, Peeling::Continuous), [3, 2, -1, -1]);
+    assert_eq!(ids_on_axis(&two_cores, 6.0, 4, Peeling::Continuous), [3, 2, 0, 1]);
+    assert_eq!(ids_on_axis(&two_cores, 6.0, 3, Peeling::Continuous), [3, 2, 0]);
+    // without a core its place stays empty
+    assert_eq!(ids_on_axis(&[rim(4.0), rim(3.0), rim(2.0), rim(1.0)], 0.0, 3, Peeling::Continuous), [3, 2, -1]);
+}
+
+#[test]
+fn opacity_falls_to_0_at_the_end_of_a_surfel_and_is_1_in_its_core() {
+    let alpha = |offset: f64, peeling: Peeling| {
+        let options = PeelOptions { peeling, ..options(2, 30.0, Footprint::Kernel) };
+        let camera = Camera { cx: 0.5, cy: 0.5, ..axis_camera(1, 1) };
+        values(&Flat::of(&[facing_disc(2.0, offset)]).peel(&camera, &options).alpha)[0]
+    };
+    let (core, end) = ((2.0 * 30f64.ln()).sqrt(), (2.0 * 255f64.ln()).sqrt());
+    let middle = (0.5 * (core * core + end * end)).sqrt();
+    for (offset, continuous, nearest) in [
+        (core - 1e-3, 1.0, 1.0),
+        (middle, 0.5, 30.0 * (-0.5 * middle * middle).exp()),
+        (end - 1e-6, 0.0, 30.0 / 255.0),
+        (end + 1e-3, 0.0, 0.0),
+    ] {
+        approx::assert_abs_diff_eq!(alpha(offset, Peeling::Continuous), continuous, epsilon = 1e-5);
+        approx::assert_abs_diff_eq!(alpha(offset, Peeling::Nearest), nearest, epsilon = 1e-5);
+    }
 }
 
 #[test]
@@ -341,28 +386,35 @@ fn a_zero_quaternion_is_the_identity_and_gets_no_gradient() {
     let expected = Flat::of(&surfels).peel_densely(&camera, &options);
     surfels[1].quaternion = [0.0; 4];
     let leaves = Flat::of(&surfels).leaves();
-    let layers = peeled(&leaves, &camera, &options);
+    let margins = Flat::of(&surfels).1;
+    let layers = peeled(&leaves, &margins, &camera, &options);
     assert_same(&layers, &expected);
     let gradient = values(&leaves[1].grad(&layers.alpha.sum().backward()).unwrap());
     assert!(gradient[..4].iter().any(|g| g.abs() > 1e-3) && gradient[4..].iter().all(|g| *g == 0.0), "{gradient:?}");
 }
 
-/// Weighted sum of one output; a missing layer counts 0.
-fn loss(layers: &Layers, of: PeelGradient, weights: &Tensor<3>) -> Tensor<1> {
-    let output = match of {
-        PeelGradient::Alpha => layers.alpha.clone(),
-        PeelGradient::Depth => layers.depth.clone().mask_fill(layers.ids.clone().lower_elem(0), 0.0),
-    };
-    (output * weights.clone()).sum()
-}
-
-/// Compares the gradients of both outputs with central differences.
+/// Compares the gradients of both outputs, and of both together, with central differences.
 fn check_gradients(name: &str, surfels: &Flat, camera: &Camera, options: &PeelOptions, seed: u64) {
     let weights = fixtures::weights(seed, [3, camera.height, camera.width]);
-    for of in [PeelGradient::Alpha, PeelGradient::Depth] {
-        check_rows(&format!("{name}: {of:?}"), SURFEL_NAMES, &surfels.0, SURFEL_WIDTHS, 1e-6, |leaves| {
-            loss(&peeled(leaves, camera, options), of, &weights)
-        });
+    for [of_alpha, of_depth] in [[1.0, 0.0], [0.0, 1.0], [1.0, 0.5]] {
+        check_rows(
+            &format!("{name}: {of_alpha}, {of_depth}"),
+            SURFEL_NAMES,
+            &surfels.0,
+            SURFEL_WIDTHS,
+            1e-6,
+            |leaves| {
+                let layers = peeled(leaves, &surfels.1, camera, options);
+                // a missing layer counts 0
+                let depth = layers.depth.mask_fill(layers.ids.lower_elem(0), 0.0);
+                let of = |output: Tensor<3>, factor: f64| (output * weights.clone()).sum() * factor;
+                match [of_alpha, of_depth] {
+                    [_, 0.0] => of(layers.alpha, of_alpha),
+                    [0.0, _] => of(depth, of_depth),
+                    _ => of(layers.alpha, of_alpha) + of(depth, of_depth),
+                }
+            },
+        );
     }
 }
 
@@ -374,6 +426,9 @@ fn gradients_of_alpha_and_depth_are_central_differences() {
     {
         let recipe = Recipe { surfels: 7, gaussians: 0, model, width: 21, height: 18, ..Recipe::default() };
         let (surfels, camera) = Flat::random(seed, &recipe);
-        check_gradients(&format!("w = {modulation}"), &surfels, &camera, &options(3, modulation, footprint), seed);
+        for peeling in [Peeling::Continuous, Peeling::Nearest] {
+            let options = PeelOptions { peeling, ..options(3, modulation, footprint) };
+            check_gradients(&format!("{peeling}, w = {modulation}"), &surfels, &camera, &options, seed);
+        }
     }
 }

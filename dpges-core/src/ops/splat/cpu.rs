@@ -1,6 +1,8 @@
 //! CPU kernels. Forward, one task handles one tile. Backward and contributions gather over the pixels of each
 //! Gaussian.
 
+use std::ops::Range;
+
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
 use pulp::{Simd, WithSimd};
@@ -10,7 +12,7 @@ use super::autodiff::SplatState;
 use super::{SplatInput, SplatOps, with_probe};
 use crate::backend::host::{self, Host, with_real};
 use crate::backend::kept::Kept;
-use crate::backend::lanes::{Lanes, Mask};
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
 use crate::backend::tape::WayBack;
@@ -30,57 +32,96 @@ use crate::tiles::{PixelRect, TILE_PIXELS, TileGrid, for_each_lanes};
 const CHANNELS: usize = 4;
 const CHUNK: usize = 256;
 
-/// Interval limits of the pixels of a tile, [K, `TILE_PIXELS`], and of the whole tile: for each interval, the
-/// smallest lower and the largest upper limit among the pixels where it is not empty.
+/// Limits of the pixels of a tile, [K + 1, `TILE_PIXELS`], and for each interval of the whole tile the range of depths at
+/// which a Gaussian falls into it at some pixel.
 struct TileLimits<'a, T> {
-    upper: &'a [T],
+    of_pixels: &'a [T],
     ranges: &'a [[T; 2]],
 }
 
-/// Interval limits of an image in tile blocks. All intervals are empty outside the image.
+/// Limits of an image in tile blocks. All intervals are empty outside the image.
 struct LimitBlocks<T> {
     layers: usize,
-    upper: Vec<T>,
+    of_pixels: Vec<T>,
     ranges: Vec<[T; 2]>,
 }
 
 impl<T: Real> LimitBlocks<T> {
-    fn new(limits: &[T], layers: usize, grid: TileGrid) -> Self {
-        let upper = to_tiles(limits, layers, grid, -T::INFINITY);
+    /// From limits [K + 1, H, W].
+    fn new(limits: &[T], grid: TileGrid) -> Self {
+        let layers = limits.len() / (grid.width * grid.height) - 1;
+        let of_pixels = to_tiles(limits, layers + 1, grid, -T::INFINITY);
         let mut ranges = vec![[T::INFINITY, -T::INFINITY]; grid.len() * layers];
-        ranges.par_chunks_mut(layers).zip(upper.par_chunks(layers * TILE_PIXELS)).for_each(|(ranges, upper)| {
-            for (k, range) in ranges.iter_mut().enumerate() {
-                for pixel in 0..TILE_PIXELS {
-                    let low = if k == 0 { -T::INFINITY } else { upper[(k - 1) * TILE_PIXELS + pixel] };
-                    let high = upper[k * TILE_PIXELS + pixel];
-                    if low < high {
-                        *range = [range[0].min(low), range[1].max(high)];
+        ranges.par_chunks_mut(layers).zip(of_pixels.par_chunks((layers + 1) * TILE_PIXELS)).for_each(
+            |(ranges, of_pixels)| {
+                let limit = |k: usize, pixel: usize| of_pixels[k * TILE_PIXELS + pixel];
+                for pixel in (0..TILE_PIXELS).filter(|&pixel| limit(layers, pixel) > T::zero()) {
+                    let ramp = T::one() / limit(layers, pixel);
+                    let mut low = -T::INFINITY;
+                    for (k, range) in ranges.iter_mut().enumerate() {
+                        let high = limit(k, pixel);
+                        if low < high {
+                            *range = [range[0].min(low - ramp), range[1].max(high)];
+                        }
+                        low = high;
                     }
                 }
-            }
-        });
-        Self { layers, upper, ranges }
+            },
+        );
+        Self { layers, of_pixels, ranges }
     }
 
     fn tile(&self, tile: usize) -> TileLimits<'_, T> {
-        let (layers, block) = (self.layers, self.layers * TILE_PIXELS);
-        TileLimits { upper: &self.upper[tile * block..][..block], ranges: &self.ranges[tile * layers..][..layers] }
+        let (layers, block) = (self.layers, (self.layers + 1) * TILE_PIXELS);
+        let of_pixels = &self.of_pixels[tile * block..][..block];
+        TileLimits { of_pixels, ranges: &self.ranges[tile * layers..][..layers] }
     }
 }
 
 impl<T: Real> TileLimits<'_, T> {
-    /// Intervals that a Gaussian at this depth falls into at some pixel of the tile.
+    /// From the first to the last interval that a Gaussian at this depth falls into at some pixel of the tile.
     #[inline(always)]
-    fn intervals(&self, depth: T) -> impl Iterator<Item = usize> + Clone {
-        self.ranges.iter().enumerate().filter(move |(_, range)| depth >= range[0] && depth < range[1]).map(|(k, _)| k)
+    fn intervals(&self, depth: T) -> Range<usize> {
+        let falls = |range: &[T; 2]| depth >= range[0] && depth < range[1];
+        let first = self.ranges.iter().position(falls).unwrap_or(self.ranges.len());
+        first..self.ranges.iter().rposition(falls).map_or(first, |last| last + 1)
     }
 
-    /// Whether `depth` falls into interval `k` of the pixels from `start` on.
+    /// Calls `visit(k, share)` with the shares of a Gaussian at `depth` in the `intervals` k of the pixels from `start` on, for those
+    /// that are not all 0.
     #[inline(always)]
-    fn within<S: Simd>(&self, k: usize, start: usize, depth: Lanes<T, S>, simd: S) -> Mask<T, S> {
-        let limit = |k: usize| Lanes::load(simd, &self.upper[k * TILE_PIXELS + start..]);
-        let before_upper = depth.below(limit(k));
-        if k == 0 { before_upper } else { before_upper & depth.at_least(limit(k - 1)) }
+    fn for_each_share<S: Simd>(
+        &self,
+        intervals: &Range<usize>,
+        start: usize,
+        depth: Lanes<T, S>,
+        mut visit: impl FnMut(usize, Lanes<T, S>),
+    ) {
+        let simd = depth.simd();
+        let none = Lanes::zero(simd);
+        let slope = self.load(self.ranges.len(), start, simd);
+        let mut nearer =
+            if intervals.start == 0 { none } else { self.before(intervals.start - 1, start, depth, slope) };
+        for k in intervals.clone() {
+            let before = self.before(k, start, depth, slope);
+            if nearer.below(before).any() {
+                visit(k, before - nearer);
+            }
+            nearer = before;
+        }
+    }
+
+    #[inline(always)]
+    fn load<S: Simd>(&self, plane: usize, start: usize, simd: S) -> Lanes<T, S> {
+        Lanes::load(simd, &self.of_pixels[plane * TILE_PIXELS + start..])
+    }
+
+    /// Share of a Gaussian at `depth` that is before layer `k` of the pixels from `start` on.
+    #[inline(always)]
+    fn before<S: Simd>(&self, k: usize, start: usize, depth: Lanes<T, S>, slope: Lanes<T, S>) -> Lanes<T, S> {
+        let simd = depth.simd();
+        let ahead = (self.load(k, start, simd) - depth) * slope;
+        ahead.min(Lanes::splat(simd, T::one())).max(Lanes::zero(simd))
     }
 }
 
@@ -88,7 +129,6 @@ impl<T: Real> TileLimits<'_, T> {
 fn forward<T: Real>(
     gaussians: &GaussianRows<T>,
     limits: &[T],
-    layers: usize,
     camera: &Camera,
     filter: ScreenFilter,
     kept: &Kept,
@@ -96,8 +136,8 @@ fn forward<T: Real>(
     let grid = TileGrid::new(camera.width, camera.height);
     let seen = InView::new(gaussians, &CameraOf::new(camera), filter, grid);
     let lists = bin(&seen.rects, grid, |i, tx, ty| seen.splats[i].touches(tx, ty));
-    let limits = LimitBlocks::new(limits, layers, grid);
-    let block = layers * CHANNELS * TILE_PIXELS;
+    let limits = LimitBlocks::new(limits, grid);
+    let (layers, block) = (limits.layers, limits.layers * CHANNELS * TILE_PIXELS);
     let mut sums = vec![T::zero(); grid.len() * block];
     sums.par_chunks_mut(block).enumerate().for_each(|(tile, sums)| {
         let (candidates, origin, limits) = (lists.of(tile), grid.origin(tile), limits.tile(tile));
@@ -125,7 +165,7 @@ impl<T: Real> WithSimd for SplatTile<'_, T> {
         for &id in candidates {
             let (splat, rect) = (&seen.splats[id as usize], &seen.rects[id as usize]);
             let intervals = limits.intervals(splat.depth);
-            if intervals.clone().next().is_none() {
+            if intervals.is_empty() {
                 continue;
             }
             let all = |value: T| Lanes::splat(simd, value);
@@ -140,13 +180,19 @@ impl<T: Real> WithSimd for SplatTile<'_, T> {
                 #[inline(always)]
                 |start, dx, dy| {
                     let Some(At { weight, .. }) = footprint.at(dx, dy) else { return };
-                    for k in intervals.clone() {
-                        let weight = weight.only(limits.within(k, start, depth, simd));
-                        for (channel, &value) in payload.iter().enumerate() {
-                            let sums = &mut sums[(k * CHANNELS + channel) * TILE_PIXELS + start..];
-                            weight.mul_add(value, Lanes::load(simd, sums)).store(sums);
-                        }
-                    }
+                    limits.for_each_share(
+                        &intervals,
+                        start,
+                        depth,
+                        #[inline(always)]
+                        |k, share| {
+                            let weight = weight * share;
+                            for (channel, &value) in payload.iter().enumerate() {
+                                let sums = &mut sums[(k * CHANNELS + channel) * TILE_PIXELS + start..];
+                                weight.mul_add(value, Lanes::load(simd, sums)).store(sums);
+                            }
+                        },
+                    );
                 },
             );
         }
@@ -172,7 +218,7 @@ impl<T: Real> Reached<'_, T> {
             for tx in tx0..tx1 {
                 let tile = ty * self.grid.columns + tx;
                 let limits = self.limits.tile(tile);
-                if !self.splat.touches(tx, ty) || limits.intervals(self.splat.depth).next().is_none() {
+                if !self.splat.touches(tx, ty) || limits.intervals(self.splat.depth).is_empty() {
                     continue;
                 }
                 for_each_lanes(
@@ -228,7 +274,7 @@ impl<T: Real> Gather<'_, T> {
             |tile, start, limits, At { u, v, weight }| {
                 let grad = &self.grad[tile * block..][..block];
                 let intervals = limits.intervals(splat.depth);
-                let [red, green, blue, alpha] = read_gradients(grad, limits, intervals, depth, start, simd);
+                let [red, green, blue, alpha] = read_gradients(grad, limits, &intervals, depth, start);
                 let payload = colour[0].mul_add(red, colour[1].mul_add(green, colour[2].mul_add(blue, alpha)));
                 for (sum, grad) in colours.iter_mut().zip([red, green, blue]) {
                     *sum = weight.mul_add(grad, *sum);
@@ -245,19 +291,24 @@ impl<T: Real> Gather<'_, T> {
 fn read_gradients<T: Real, S: Simd>(
     grad: &[T],
     limits: &TileLimits<T>,
-    intervals: impl Iterator<Item = usize>,
+    intervals: &Range<usize>,
     depth: Lanes<T, S>,
     start: usize,
-    simd: S,
 ) -> [Lanes<T, S>; CHANNELS] {
+    let simd = depth.simd();
     let mut pixel = [Lanes::zero(simd); CHANNELS];
-    for k in intervals {
-        let within = limits.within(k, start, depth, simd);
-        for (channel, pixel) in pixel.iter_mut().enumerate() {
-            let grad = Lanes::load(simd, &grad[(k * CHANNELS + channel) * TILE_PIXELS + start..]);
-            *pixel = *pixel + grad.only(within);
-        }
-    }
+    limits.for_each_share(
+        intervals,
+        start,
+        depth,
+        #[inline(always)]
+        |k, share| {
+            for (channel, pixel) in pixel.iter_mut().enumerate() {
+                let grad = Lanes::load(simd, &grad[(k * CHANNELS + channel) * TILE_PIXELS + start..]);
+                *pixel = share.mul_add(grad, *pixel);
+            }
+        },
+    );
     pixel
 }
 
@@ -272,12 +323,11 @@ fn backward<T: Real>(
     probed: bool,
     kept: &Kept,
 ) -> [Vec<T>; 6] {
-    let layers = limits.len() / (camera.width * camera.height);
     let grid = TileGrid::new(camera.width, camera.height);
     let half_image = [camera.width, camera.height].map(|size| T::of(0.5 * size as f64));
     let camera = CameraOf::<T>::new(camera);
-    let limits = LimitBlocks::new(limits, layers, grid);
-    let grad = to_tiles(grad, layers * CHANNELS, grid, T::zero());
+    let limits = LimitBlocks::new(limits, grid);
+    let grad = to_tiles(grad, limits.layers * CHANNELS, grid, T::zero());
     let seen = kept.get_or(|| InView::new(gaussians, &camera, filter, grid));
     let mut sums: Vec<SplatGrad<T>> = vec![SplatGrad::default(); seen.rows.len()];
     sums.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, sums)| {
@@ -348,10 +398,16 @@ impl<T: Real> WithSimd for Largest<'_, T> {
             #[inline(always)]
             |tile, start, limits, At { weight, .. }| {
                 let gates = &self.gates[tile * block..][..block];
-                for k in limits.intervals(splat.depth) {
-                    let gate = Lanes::load(simd, &gates[k * TILE_PIXELS + start..]);
-                    largest = largest.max((weight * gate).only(limits.within(k, start, depth, simd)));
-                }
+                limits.for_each_share(
+                    &limits.intervals(splat.depth),
+                    start,
+                    depth,
+                    #[inline(always)]
+                    |k, share| {
+                        let gate = Lanes::load(simd, &gates[k * TILE_PIXELS + start..]);
+                        largest = largest.max(weight * gate * share);
+                    },
+                );
             },
         );
         largest.largest() * splat.colour.iter().fold(T::zero(), |most, channel| most.max(channel.abs()))
@@ -359,17 +415,11 @@ impl<T: Real> WithSimd for Largest<'_, T> {
 }
 
 /// Largest contribution of each Gaussian to any pixel.
-fn contributions<T: Real>(
-    gaussians: &GaussianRows<T>,
-    limits: &[T],
-    gates: &[T],
-    layers: usize,
-    camera: &Camera,
-) -> Vec<T> {
+fn contributions<T: Real>(gaussians: &GaussianRows<T>, limits: &[T], gates: &[T], camera: &Camera) -> Vec<T> {
     let grid = TileGrid::new(camera.width, camera.height);
     let camera = CameraOf::<T>::new(camera);
-    let limits = LimitBlocks::new(limits, layers, grid);
-    let gates = to_tiles(gates, layers, grid, T::zero());
+    let limits = LimitBlocks::new(limits, grid);
+    let gates = to_tiles(gates, limits.layers, grid, T::zero());
     let seen = InView::new(gaussians, &camera, ScreenFilter::Compensated, grid);
     let largest = |i: usize| vectorised(Largest { seen: &seen, i, grid, limits: &limits, gates: &gates });
     let of_seen: Vec<T> = (0..seen.rows.len()).into_par_iter().map(largest).collect();
@@ -383,10 +433,10 @@ fn contributions<T: Real>(
 impl<B: Host> SplatOps for B {
     fn splat(input: SplatInput<B>, camera: Camera, filter: ScreenFilter, kept: Kept) -> FloatTensor<B> {
         let SplatInput { gaussians, limits, .. } = input;
-        let layers = host::rows(&limits);
+        let layers = host::rows(&limits) - 1;
         with_real!(limits.dtype(), T => {
             let (rows, limit) = (GaussianRows::<T>::new(&gaussians), host::floats::<B, T>(&limits));
-            let sums = forward(&rows, &limit, layers, &camera, filter, &kept);
+            let sums = forward(&rows, &limit, &camera, filter, &kept);
             host::float_tensor::<B, T, 4>(sums, [layers, CHANNELS, camera.height, camera.width], &limits.device())
         })
     }
@@ -400,7 +450,7 @@ impl<B: Host> SplatOps for B {
         with_real!(limits.dtype(), T => {
             let rows = GaussianRows::<T>::new(&gaussians);
             let [limit, gates] = [&limits, &gates].map(host::floats::<B, T>);
-            let values = contributions(&rows, &limit, &gates, host::rows(&limits), &camera);
+            let values = contributions(&rows, &limit, &gates, &camera);
             host::float_tensor::<B, T, 1>(values, [rows.len()], &limits.device())
         })
     }

@@ -88,6 +88,10 @@ fn splat_kernel(
     let mut last = Shared::<[f32]>::new_slice(comptime!(UNITS as usize));
     let mut ends = Shared::<[f32]>::new_slice(REGIONS);
     let mut upper = Array::<f32>::new(layers);
+    let mut slope = 1.0f32.runtime();
+    if pixel.inside {
+        slope = limits[layers * plane + pixel.at];
+    }
     let mut own = zeros(comptime!(layers * CHANNELS));
     #[unroll]
     for k in 0..layers {
@@ -121,17 +125,18 @@ fn splat_kernel(
                 let weight = splat.weight(splat.u(pixel.x - splat.mean_x, dy), splat.r * dy);
                 if weight > 0.0f32 && splat.depth < upper[layers - 1] {
                     let colour = Vec3::load(&staged, o + SPLAT);
+                    let mut nearer = 0.0f32;
                     #[unroll]
                     for k in 0..layers {
-                        let mut lower = -view.infinity;
-                        if comptime!(k > 0) {
-                            lower = upper[k - 1];
-                        }
-                        if splat.depth >= lower && splat.depth < upper[k] {
-                            own[k * CHANNELS] += weight * colour.x;
-                            own[k * CHANNELS + 1] += weight * colour.y;
-                            own[k * CHANNELS + 2] += weight * colour.z;
-                            own[k * CHANNELS + 3] += weight;
+                        // most Gaussians are in one interval: the others are not added to
+                        if nearer < 1.0f32 {
+                            let before = share_before(upper[k], slope, splat.depth);
+                            let share = weight * (before - nearer);
+                            own[k * CHANNELS] += share * colour.x;
+                            own[k * CHANNELS + 1] += share * colour.y;
+                            own[k * CHANNELS + 2] += share * colour.z;
+                            own[k * CHANNELS + 3] += share;
+                            nearer = before;
                         }
                     }
                 }
@@ -146,15 +151,10 @@ fn splat_kernel(
     }
 }
 
-/// The interval of a pixel that a depth falls into, or the number of layers behind the last.
+/// Share of a Gaussian at `depth` that is before a layer.
 #[cube]
-fn interval(limits: &[f32], pixel: usize, plane: usize, depth: f32, #[comptime] layers: usize) -> u32 {
-    let mut passed = 0u32;
-    #[unroll]
-    for k in 0..layers {
-        passed += select(depth >= limits[k * plane + pixel], 1u32, 0u32);
-    }
-    passed
+fn share_before(limit: f32, slope: f32, depth: f32) -> f32 {
+    clamp((limit - depth) * slope, 0.0f32, 1.0f32)
 }
 
 /// Sums the moments and the gradient of the colour of every Gaussian over the pixels of each piece.
@@ -191,18 +191,31 @@ fn gather_kernel(
             let dy = f32::cast_from(row) + 0.5f32 - splat.mean_y;
             let (u, v) = (splat.u(dx, dy), splat.r * dy);
             let weight = splat.weight(u, v);
-            if weight > 0.0f32 {
-                let k = interval(limits, pixel, plane, splat.depth, layers);
-                if k < layers as u32 {
-                    let at = k as usize * CHANNELS * plane + pixel;
-                    let (red, green) = (grad[at], grad[at + plane]);
-                    let (blue, alpha) = (grad[at + 2 * plane], grad[at + 3 * plane]);
-                    let power = weight * (alpha + colour.x * red + colour.y * green + colour.z * blue);
-                    add_moments(&mut own, power, u, v);
-                    own[MOMENTS] += weight * red;
-                    own[MOMENTS + 1] += weight * green;
-                    own[MOMENTS + 2] += weight * blue;
+            if weight > 0.0f32 && splat.depth < limits[(layers - 1) * plane + pixel] {
+                let slope = limits[layers * plane + pixel];
+                let mut red = 0.0f32;
+                let mut green = 0.0f32;
+                let mut blue = 0.0f32;
+                let mut alpha = 0.0f32;
+                let mut nearer = 0.0f32;
+                #[unroll]
+                for k in 0..layers {
+                    if nearer < 1.0f32 {
+                        let at = k * CHANNELS * plane + pixel;
+                        let before = share_before(limits[k * plane + pixel], slope, splat.depth);
+                        let share = before - nearer;
+                        red += share * grad[at];
+                        green += share * grad[at + plane];
+                        blue += share * grad[at + 2 * plane];
+                        alpha += share * grad[at + 3 * plane];
+                        nearer = before;
+                    }
                 }
+                let power = weight * (alpha + colour.x * red + colour.y * green + colour.z * blue);
+                add_moments(&mut own, power, u, v);
+                own[MOMENTS] += weight * red;
+                own[MOMENTS + 1] += weight * green;
+                own[MOMENTS + 2] += weight * blue;
             }
             let (next_column, next_row) = piece.next(stride, column, row);
             column = next_column;
@@ -264,9 +277,13 @@ fn contributions_kernel(
             let dy = f32::cast_from(row) + 0.5f32 - splat.mean_y;
             let weight = splat.weight(splat.u(dx, dy), splat.r * dy);
             if weight > 0.0f32 {
-                let k = interval(limits, pixel, plane, splat.depth, layers);
-                if k < layers as u32 {
-                    own[0] = max(own[0], weight * gates[k as usize * plane + pixel]);
+                let slope = limits[layers * plane + pixel];
+                let mut nearer = 0.0f32;
+                #[unroll]
+                for k in 0..layers {
+                    let before = share_before(limits[k * plane + pixel], slope, splat.depth);
+                    own[0] = max(own[0], weight * gates[k * plane + pixel] * (before - nearer));
+                    nearer = before;
                 }
             }
             let (next_column, next_row) = piece.next(stride, column, row);
@@ -303,7 +320,7 @@ fn brightest_kernel(largest_of_pieces: &[f32], starts: &[u32], colours: &[f32], 
 impl SplatOps for CubeBackend {
     fn splat(input: SplatInput<Self>, camera: Camera, filter: ScreenFilter, _: Kept) -> FloatTensor<Self> {
         let (gaussians, limits) = (input.gaussians.contiguous(), floats(input.limits));
-        let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
+        let (client, layers, count) = (limits.client.clone(), limits.shape()[0] - 1, gaussians.opacities.shape()[0]);
         let tiles = TileGrid::new(camera.width, camera.height).len();
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, filter);
         let ends = empty_f32(&limits, [tiles]);
@@ -344,7 +361,7 @@ impl SplatOps for CubeBackend {
         camera: Camera,
     ) -> FloatTensor<Self> {
         let (gaussians, limits, gates) = (gaussians.contiguous(), floats(limits), floats(gates));
-        let (layers, count) = (limits.shape()[0], gaussians.opacities.shape()[0]);
+        let (layers, count) = (limits.shape()[0] - 1, gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, ScreenFilter::Compensated);
         let pieces = split_work(&rects);
         let of_pieces = empty_f32(&limits, [pieces.most]);
@@ -381,7 +398,7 @@ impl WayBack<CubeBackend, 6> for SplatState<CubeBackend> {
         let Self { input: SplatInput { gaussians, probe, limits }, camera, filter, .. } = self;
         let probed = probe.shape()[0] > 0;
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));
-        let (client, layers, count) = (limits.client.clone(), limits.shape()[0], gaussians.opacities.shape()[0]);
+        let (client, layers, count) = (limits.client.clone(), limits.shape()[0] - 1, gaussians.opacities.shape()[0]);
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, filter);
         let pieces = split_work(&rects);
         let sums = empty_f32(&limits, [pieces.most, SUMS]);

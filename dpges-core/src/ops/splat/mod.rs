@@ -1,8 +1,9 @@
 //! `splat`: order-free sums of Gaussians, one per depth interval of a pixel.
 //!
-//! Gaussians and interval limits → [K, 4, H, W]: for interval k the sums of (colour · α, α) over the
-//! Gaussians whose centre depth d satisfies `limit(k−1) ≤ d < limit(k)`. A Gaussian at or behind the last
-//! limit is occluded. α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), or 0 if that is below 1/255, by
+//! Gaussians and limits [K + 1, H, W] → [K, 4, H, W]: for interval k the sums of (colour · α, α) over the Gaussians, each by
+//! its share `f_k − f_{k−1}`, where `f_k = clamp((limit_k − d) slope, 0, 1)` is the share of a Gaussian with centre depth d that
+//! is before layer k, f_{−1} = 0. The last plane of the limits is the slope; with a steep one the shares are 0 or 1. A
+//! Gaussian behind the last limit is occluded. α = max(0, opacity) · compensation · exp(−½ dᵀ Q d), or 0 if that is below 1/255, by
 //! EWA projection with a low-pass filter of 0.1 px² (GES); or, with [`ScreenFilter::Plain`], of 0.3 px² without
 //! compensation (3DGS).
 //!
@@ -37,7 +38,7 @@ pub struct SplatInput<B: Backend> {
     pub gaussians: GaussianTensors<B>,
     /// [M, 2], or [0, 2] without a probe
     pub probe: FloatTensor<B>,
-    /// [K, H, W]
+    /// [K + 1, H, W]
     pub limits: FloatTensor<B>,
 }
 
@@ -70,8 +71,8 @@ fn with_probe<V>([positions, quaternions, log_scales, opacities, colours]: [V; 5
     [positions, quaternions, log_scales, opacities, colours, probe]
 }
 
-/// Sums [K, 4, H, W] of `gaussians` in `colours` [M, 3], as seen from the camera, for ascending interval
-/// `limits` [K, H, W] ([`interval_limits`](super::interval_limits::interval_limits)).
+/// Sums [K, 4, H, W] of `gaussians` in `colours` [M, 3], as seen from the camera, between ascending
+/// `limits` [K + 1, H, W] ([`Visibility::limits`](super::visibility::Visibility::limits)).
 ///
 /// # Errors
 /// [`crate::Error::Shape`] or [`crate::Error::Camera`] if the input is invalid, [`crate::Error::Capacity`] if the tile lists
@@ -93,8 +94,7 @@ pub fn splat_probed(
     filter: ScreenFilter,
 ) -> Result<Tensor<4>> {
     camera.validate()?;
-    let layers = limits.dims()[0];
-    check_shape("limits", limits, [layers, camera.height, camera.width])?;
+    check_limits(limits, camera)?;
     let probe = match probe {
         Some(probe) => {
             check_shape("probe", probe, [gaussians.len(), 2])?;
@@ -114,6 +114,13 @@ pub fn splat_probed(
     Ok(Tensor::from_dispatch(sums))
 }
 
+/// Number of layers.
+fn check_limits(limits: &Tensor<3>, camera: &Camera) -> Result<usize> {
+    let layers = limits.dims()[0].saturating_sub(1).max(1);
+    check_shape("limits", limits, [layers + 1, camera.height, camera.width])?;
+    Ok(layers)
+}
+
 /// Largest value over all pixels of α · gate · max|colour| for each Gaussian, `[M]`, where `gates`
 /// [K, H, W] is the weight of interval k in the pixel, T_k / (1 + W_G) (GES, pruning). No gradient.
 ///
@@ -127,8 +134,7 @@ pub fn contributions(
     camera: &Camera,
 ) -> Result<Tensor<1>> {
     camera.validate()?;
-    let layers = limits.dims()[0];
-    check_shape("limits", limits, [layers, camera.height, camera.width])?;
+    let layers = check_limits(limits, camera)?;
     check_shape("gates", gates, [layers, camera.height, camera.width])?;
     let input = GaussianTensors::new(gaussians, colours)?;
     let [limits, gates] = [limits, gates].map(|tensor| tensor.clone().into_dispatch());

@@ -1,5 +1,7 @@
 mod lens;
 
+use std::ops::Range;
+
 use burn::tensor::Tensor;
 use glam::{DMat3, DVec2, DVec3};
 
@@ -10,6 +12,7 @@ use crate::footprint::gaussian::cpu::{MIN_COMPENSATION_SQUARED, Parameters, Spla
 use crate::math::{CameraOf, rotation};
 use crate::ops::fixtures::{Flat, NAMES, axis_camera, constant, replaced, weights};
 use crate::scene::ScreenFilter;
+use crate::scene::peeling::STEP;
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
@@ -72,31 +75,37 @@ impl Flat {
         ((0..pixels).map(weight).collect(), depth)
     }
 
-    /// Sums [K, 4, H, W], and the largest weight · gate · max|colour| of every Gaussian.
+    /// Sums [K, 4, H, W], and the largest weight · share · gate · max|colour| of every Gaussian.
     fn splat_densely(&self, limits: &[f64], gates: &[f64], camera: &Camera) -> (Vec<f64>, Vec<f64>) {
         let pixels = camera.width * camera.height;
-        let layers = limits.len() / pixels;
-        let (mut sums, mut largest) = (vec![0.0; 4 * limits.len()], vec![0.0f64; self.len()]);
+        let layers = limits.len() / pixels - 1;
+        let (mut sums, mut largest) = (vec![0.0; 4 * layers * pixels], vec![0.0f64; self.len()]);
         for (i, largest) in largest.iter_mut().enumerate() {
             let (weights, depth) = self.weights_densely(i, camera);
             let colour = self.row::<3>(4, i);
             let brightest = colour.iter().fold(0.0, |m: f64, c| m.max(c.abs()));
             for (at, weight) in weights.into_iter().enumerate() {
-                let Some(k) = (0..layers).find(|k| depth < limits[k * pixels + at]) else { continue };
-                for (c, value) in [colour[0], colour[1], colour[2], 1.0].into_iter().enumerate() {
-                    sums[(4 * k + c) * pixels + at] += weight * value;
+                let slope = limits[layers * pixels + at];
+                let mut nearer = 0.0;
+                for k in 0..layers {
+                    let before = ((limits[k * pixels + at] - depth) * slope).clamp(0.0, 1.0);
+                    let share = weight * (before - nearer);
+                    for (c, value) in [colour[0], colour[1], colour[2], 1.0].into_iter().enumerate() {
+                        sums[(4 * k + c) * pixels + at] += share * value;
+                    }
+                    *largest = largest.max(share * gates[k * pixels + at] * brightest);
+                    nearer = before;
                 }
-                *largest = largest.max(weight * gates[k * pixels + at] * brightest);
             }
         }
         (sums, largest)
     }
 }
 
-/// Ascending limits [K, H, W] around `depth`, with steps between neighbouring pixels.
+/// Limits [K + 1, H, W]: ascending ones around `depth`, and slopes, of which every third is that of a step.
 fn random_limits(layers: usize, depth: f64, camera: &Camera, seed: u64) -> Vec<f64> {
     let (mut random, pixels) = (Random::new(seed), camera.width * camera.height);
-    let mut limits = vec![f64::INFINITY; layers * pixels];
+    let mut limits = vec![f64::INFINITY; (layers + 1) * pixels];
     for at in 0..pixels {
         let mut stack = random.numbers(layers, 0.4 * depth, 1.6 * depth);
         stack.sort_by(f64::total_cmp);
@@ -104,6 +113,7 @@ fn random_limits(layers: usize, depth: f64, camera: &Camera, seed: u64) -> Vec<f
             stack[layers - 1] = f64::INFINITY;
         }
         stack.into_iter().enumerate().for_each(|(k, limit)| limits[k * pixels + at] = limit);
+        limits[layers * pixels + at] = if at % 3 == 0 { STEP } else { random.between(0.5, 20.0) / depth };
     }
     limits
 }
@@ -143,10 +153,10 @@ fn every_kind(count: usize) -> Flat {
 /// Compares sums and contributions with dense ones.
 fn check_against_dense(name: &str, flat: &Flat, layers: usize, depth: f64, camera: &Camera, tolerance: f64) {
     let limits = random_limits(layers, depth, camera, 1);
-    let gates = Random::new(2).numbers(limits.len(), 0.0, 1.0);
+    let gates = Random::new(2).numbers(layers * camera.width * camera.height, 0.0, 1.0);
     let (sums, largest) = flat.splat_densely(&limits, &gates, camera);
     assert!(sums.iter().filter(|s| **s != 0.0).count() > sums.len() / 4, "{name}");
-    let (limits, gates) = (image(&limits, layers, camera), image(&gates, layers, camera));
+    let (limits, gates) = (image(&limits, layers + 1, camera), image(&gates, layers, camera));
     assert_close(&values(&flat.splat(&limits, camera)), &sums, tolerance);
     let (gaussians, colours) = flat.gaussians();
     let found = contributions(&gaussians, &colours, &limits, &gates, camera).unwrap();
@@ -201,8 +211,8 @@ fn a_gaussian_at_a_limit_lies_behind_it() {
     gaussian.push_turned([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [-2.0; 3], 1.0, COLOUR);
     let pixels = camera.width * camera.height;
     let weight_of = |limits: [f64; 2]| {
-        let planes: Vec<f64> = limits.iter().flat_map(|&limit| vec![limit; pixels]).collect();
-        let sums = values(&gaussian.splat(&image(&planes, 2, &camera), &camera));
+        let planes: Vec<f64> = limits.into_iter().chain([STEP]).flat_map(|limit| vec![limit; pixels]).collect();
+        let sums = values(&gaussian.splat(&image(&planes, 3, &camera), &camera));
         [3, 7].map(|channel| sums[channel * pixels..][..pixels].iter().sum::<f64>() > 0.0)
     };
     assert_eq!(weight_of([2.0, 3.0]), [false, true]);
@@ -215,26 +225,35 @@ fn a_gaussian_at_a_limit_lies_behind_it() {
 #[test]
 fn no_gaussians_sum_to_nothing() {
     let camera = axis_camera();
-    let limits = image(&random_limits(3, 2.0, &camera, 4), 3, &camera);
+    let limits = image(&random_limits(3, 2.0, &camera, 4), 4, &camera);
+    let gates = limits.clone().slice_dim(0, 0..3);
     let (gaussians, colours) = Flat::default().gaussians();
     let sums = splat(&gaussians, &colours, &limits, &camera).unwrap();
     assert!(values(&sums).iter().all(|s| *s == 0.0));
     assert_eq!(sums.dims(), [3, 4, camera.height, camera.width]);
-    assert_eq!(contributions(&gaussians, &colours, &limits, &limits, &camera).unwrap().dims(), [0]);
+    assert_eq!(contributions(&gaussians, &colours, &limits, &gates, &camera).unwrap().dims(), [0]);
 }
 
-/// Compares the gradients of weighted sums with central differences.
+/// Compares the gradients of weighted sums with central differences: those of positions between steps, as shares have none.
 fn check_gradients(name: &str, flat: &Flat, camera: &Camera) {
-    let limits = image(&random_limits(3, 2.5, camera, 5), 3, camera);
+    let ramps = random_limits(3, 2.5, camera, 5);
+    let mut steps = ramps.clone();
+    steps[3 * camera.width * camera.height..].fill(STEP);
+    check_gradients_between(name, 0..1, flat, &image(&steps, 4, camera), camera);
+    check_gradients_between(name, 1..5, flat, &image(&ramps, 4, camera), camera);
+}
+
+fn check_gradients_between(name: &str, attributes: Range<usize>, flat: &Flat, limits: &Tensor<3>, camera: &Camera) {
     let weights = weights(9, [3, 4, camera.height, camera.width]);
     let loss = |sums: Tensor<4>| (sums * weights.clone()).sum();
     let (g, colours) = flat.gaussians();
-    let gradients = loss(splat(&g, &colours, &limits, camera).unwrap()).backward();
-    for (i, leaf) in [&g.positions, &g.quaternions, &g.log_scales, &g.opacities, &colours].into_iter().enumerate() {
-        let found = values(&leaf.grad(&gradients).unwrap());
+    let gradients = loss(splat(&g, &colours, limits, camera).unwrap()).backward();
+    let leaves = [&g.positions, &g.quaternions, &g.log_scales, &g.opacities, &colours];
+    for i in attributes {
+        let found = values(&leaves[i].grad(&gradients).unwrap());
         check(&format!("{name}: {}", NAMES[i]), &flat.0[i], &found, 1e-6, |moved| {
             let flat = Flat(replaced(&flat.0, i, moved), Vec::new());
-            values(&loss(flat.splat(&limits, camera)))[0]
+            values(&loss(flat.splat(limits, camera)))[0]
         });
     }
 }
@@ -257,7 +276,7 @@ fn gradients_of_the_sums_are_central_differences() {
 fn the_probe_collects_what_the_sums_want_of_the_projected_centre() {
     const STEP: f64 = 1e-6;
     let (camera, shapes) = (axis_camera(), [[-1.2, -2.0, -1.5], [-0.5, -4.0, -3.0], [-4.5, -4.6, -4.4]]);
-    let limits = image(&vec![f64::INFINITY; camera.width * camera.height], 1, &camera);
+    let limits = image(&vec![f64::INFINITY; 2 * camera.width * camera.height], 2, &camera);
     let weights = weights(9, [1, 4, camera.height, camera.width]);
     for (filter, log_scales) in [ScreenFilter::Compensated, ScreenFilter::Plain]
         .into_iter()
@@ -286,7 +305,7 @@ fn the_probe_collects_what_the_sums_want_of_the_projected_centre() {
 #[test]
 fn a_probe_of_another_shape_is_refused() {
     let camera = axis_camera();
-    let limits = image(&random_limits(1, 2.0, &camera, 4), 1, &camera);
+    let limits = image(&random_limits(1, 2.0, &camera, 4), 2, &camera);
     let (gaussians, colours) = every_kind(7).gaussians();
     let error = splat_probed(&gaussians, &colours, &limits, Some(&colours), &camera, ScreenFilter::Plain).unwrap_err();
     assert_eq!(error.to_string(), "tensor `probe` has shape [7, 3], expected [7, 2]");

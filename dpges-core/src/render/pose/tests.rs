@@ -5,10 +5,11 @@ use super::*;
 use crate::losses::depth::surfel_depth;
 use crate::ops::blend::{BlendOptions, Form};
 use crate::ops::environment::environment;
+use crate::ops::peel::PeelOptions;
 use crate::render::blended::{BlendedOptions, Probes, render_blended_probed};
 use crate::render::summed::{SummedOptions, WeightedSumTensors, render_summed};
 use crate::render::{RenderOptions, Values, render_probed};
-use crate::scene::{ColourModel, WeightedSum};
+use crate::scene::{ColourModel, Peeling, WeightedSum};
 use crate::testing::device;
 use crate::testing::golden::values;
 use crate::testing::gradients::{check, leaf};
@@ -34,7 +35,9 @@ fn seen(scene: &TestScene, kind: Kind, camera: &Camera, probe: Option<&PoseProbe
     let (surfels, gaussians) = scene.tensors(&device(), DType::F64);
     match kind {
         Kind::Peeled => {
-            let options = RenderOptions::default();
+            // shares of Gaussians between layers carry no gradient: they are steps here
+            let peel = PeelOptions { peeling: Peeling::Nearest, ..PeelOptions::default() };
+            let options = RenderOptions { peel, ..RenderOptions::default() };
             let rendered = render_probed(&surfels, &gaussians, camera, probe, &options, Values::Unknown).unwrap();
             let depth = surfel_depth(&rendered)[0].clone();
             vec![rendered.composite.image, rendered.composite.surfel_image, depth]

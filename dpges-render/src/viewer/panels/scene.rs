@@ -1,6 +1,6 @@
 //! Options of the picture.
 
-use dpges_core::scene::{BlendOrder, Footprint, Rendering};
+use dpges_core::scene::{BlendOrder, Footprint, Peeling, Rendering};
 use egui::{ComboBox, Slider, Ui};
 
 use super::super::dialogs::Purpose;
@@ -74,8 +74,16 @@ pub fn show(state: &mut State, ui: &mut Ui) {
                 ui.selectable_value(&mut options.footprint, footprint, name(footprint));
             }
         });
-        ui.checkbox(&mut options.backstop, "backstop")
-            .on_hover_text("The nearest opaque surfel is always the last layer, however many rims lie before it.");
+        let name = |peeling| match peeling {
+            Peeling::Continuous => "continuous",
+            Peeling::Nearest => "nearest",
+            Peeling::Literal => "literal",
+        };
+        ComboBox::from_label("peeling").selected_text(name(options.peeling)).show_ui(ui, |ui| {
+            for peeling in [Peeling::Continuous, Peeling::Nearest, Peeling::Literal] {
+                ui.selectable_value(&mut options.peeling, peeling, name(peeling));
+            }
+        });
     });
     ui.add(Slider::new(&mut options.smallest_px, 0.0..=4.0).text("smallest, px"))
         .on_hover_text("Primitives that are smaller on the screen are not drawn.");

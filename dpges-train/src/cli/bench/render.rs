@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use clap::builder::BoolishValueParser;
 use dpges_core::camera::Camera;
+use dpges_core::scene::Peeling;
 use dpges_render::check_drawn_as_trained;
 use dpges_render::frame_times::Rounds;
 use dpges_render::path::Size;
@@ -28,11 +28,11 @@ pub struct BenchRenderArgs {
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1920x1080")]
     size: Size,
     /// Numbers of layers, one row each; scenes of blended Gaussians have one row
-    #[arg(long, value_name = "K,…", value_delimiter = ',', default_value = "1,2,3,4")]
+    #[arg(long, value_name = "K,…", value_delimiter = ',', default_value = "1,2,3,4,5")]
     layers: Vec<usize>,
-    /// With a backstop, without, or both (`on,off`), one row each. Default: as the scene was trained
-    #[arg(long, value_name = "on|off,…", value_delimiter = ',', value_parser = BoolishValueParser::new())]
-    backstop: Vec<bool>,
+    /// Kinds of peeling, one row each. Default: as the scene was trained
+    #[arg(long, value_name = "KIND,…", value_delimiter = ',')]
+    peeling: Vec<Peeling>,
     /// Counted rounds over the cameras
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rounds: u32,
@@ -69,7 +69,7 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
         cameras: cameras.len(),
         // without its rows there are those of the other renderer, if it is asked for
         rows: match check_drawn_as_trained(&data.info) {
-            Ok(()) => Row::of_raster(data, &cameras, rounds, &args.layers, &args.backstop)?,
+            Ok(()) => Row::of_raster(data, &cameras, rounds, &args.layers, &args.peeling)?,
             Err(refusal) if args.training.is_none() => return Err(refusal.into()),
             Err(_) => Vec::new(),
         },

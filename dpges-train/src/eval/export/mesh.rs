@@ -74,8 +74,7 @@ fn with_depth(
     let rendered = renderer.render(camera)?;
     let Some(render) = rendered.peeled() else { return Err(ExportError::NoSurfels.into()) };
     let geometry = renderer.geometry(camera, render);
-    let transmittance = tensor_to_rows(&render.composite.transmittance);
-    let behind = &transmittance[transmittance.len() - camera.width * camera.height..];
+    let behind = tensor_to_rows(&render.seen.behind_all());
     let coverage: Vec<f32> = behind.iter().map(|transmittance| 1.0 - transmittance).collect();
     let blended = tensor_to_rows(&geometry.depth);
     // 0 / 0 where nothing is covered, which is no depth

@@ -1,11 +1,11 @@
-//! The path along which popping is looked for.
+//! The paths along which popping and jumps are looked for.
 
-use std::f64::consts::FRAC_PI_6;
+use std::f64::consts::{FRAC_PI_6, PI};
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneInfo;
 use dpges_core::{Error, Result};
-use dpges_render::CameraPath;
+use dpges_render::{CameraPath, Up};
 
 use crate::dataset::{Dataset, View};
 
@@ -22,10 +22,20 @@ const TURN: f64 = FRAC_PI_6;
 /// # Errors
 /// [`Error::Option`] if there are fewer than two views.
 pub fn arc(dataset: &Dataset, info: &SceneInfo) -> Result<Vec<Camera>> {
+    let path = CameraPath::new(ends(dataset, info)?.to_vec(), false).expect("two cameras");
+    Ok(path.frames(FRAMES))
+}
+
+/// The cameras of all views, in the order of their names: the same whatever each view is used for.
+fn cameras(dataset: &Dataset, info: &SceneInfo) -> Vec<Camera> {
     let mut views: Vec<&View> = dataset.train.iter().chain(&dataset.validation).chain(&dataset.test).collect();
-    // the same path whatever each view is used for
     views.sort_by(|a, b| a.name.cmp(&b.name));
-    let cameras: Vec<Camera> = views.iter().map(|view| Camera { near: info.near, ..view.camera }).collect();
+    views.iter().map(|view| Camera { near: info.near, ..view.camera }).collect()
+}
+
+/// The first and the last camera of [`arc`].
+fn ends(dataset: &Dataset, info: &SceneInfo) -> Result<[Camera; 2]> {
+    let cameras = cameras(dataset, info);
     let length = LENGTH * info.extent;
     let unfitness = |[a, b]: [&Camera; 2]| (a.centre().distance(b.centre()) / length - 1.0).abs() + turn(a, b) / TURN;
     let pairs = cameras.iter().enumerate().flat_map(|(index, a)| cameras[..index].iter().map(move |b| [b, a]));
@@ -34,8 +44,24 @@ pub fn arc(dataset: &Dataset, info: &SceneInfo) -> Result<Vec<Camera>> {
         expected: "at least two, to go from one to the other".to_owned(),
         found: cameras.len().to_string(),
     })?;
-    let path = CameraPath::new(ends.map(|end| *end).to_vec(), false).expect("two cameras");
-    Ok(path.frames(FRAMES))
+    Ok(ends.map(|end| *end))
+}
+
+/// Angle of the path along which jumps are looked for, radians.
+const TURNED: f64 = PI / 30.0;
+
+/// Cameras in `steps` equal steps, in the coordinates of the scene: the first view of `dataset` by name, trained on or not, turned by 6°
+/// about what the views look at; or where they do not look at one place, those between the ends of [`arc`].
+///
+/// # Errors
+/// Those of [`arc`].
+pub fn turn_about_the_middle(dataset: &Dataset, info: &SceneInfo) -> Result<impl Fn(usize) -> Vec<Camera>> {
+    let ends = ends(dataset, info)?;
+    let (cameras, up) = (cameras(dataset, info), Up::of(info));
+    Ok(move |steps: usize| {
+        let turned = CameraPath::arc(&cameras, up, TURNED, steps);
+        turned.unwrap_or_else(|| CameraPath::new(ends.to_vec(), false).expect("two cameras").frames(steps + 1))
+    })
 }
 
 /// Angle between the axes of two cameras, radians.

@@ -7,6 +7,7 @@
 
 mod arc;
 mod frame;
+mod jumps;
 #[cfg(test)]
 mod tests;
 mod worst;
@@ -15,12 +16,15 @@ use std::collections::VecDeque;
 
 use dpges_core::Result;
 use dpges_core::camera::Camera;
+use dpges_core::scene::SceneInfo;
 use serde::{Deserialize, Serialize};
 
+use crate::dataset::Dataset;
 use crate::eval::rendered::Renderer;
 use crate::metrics::flip_map;
-pub use arc::{FRAMES, arc};
+pub use arc::{FRAMES, arc, turn_about_the_middle};
 pub use frame::{Frame, Warped};
+pub use jumps::{Causes, Jumps};
 pub use worst::WorstFrame;
 
 /// Frames between those that are compared.
@@ -36,6 +40,9 @@ pub struct Popping {
     pub frames: usize,
     /// Share of the pixels that were compared, from 0 to 1: for `flip_1` and for `flip_7`, means over the frames.
     pub pixels_compared: [f64; 2],
+    /// Along another path, in much smaller steps; absent of older reports.
+    #[serde(flatten)]
+    pub jumps: Option<Jumps>,
 }
 
 /// Popping, and the frames 1 and 7 after another that pop most.
@@ -46,6 +53,17 @@ pub struct Measured {
 }
 
 impl Measured {
+    /// Popping of `renderer` along the [arc](fn@arc) of `dataset`, and jumps [about its middle](turn_about_the_middle), both in the
+    /// coordinates of the scene with `info`; `None` if no surface is seen twice.
+    ///
+    /// # Errors
+    /// Those of [`arc`](fn@arc) and of [`Renderer::render`].
+    pub fn of_scene(renderer: &Renderer, dataset: &Dataset, info: &SceneInfo) -> Result<Option<Self>> {
+        let Some(mut measured) = Self::along(renderer, &arc(dataset, info)?)? else { return Ok(None) };
+        measured.popping.jumps = Some(Jumps::along(renderer, turn_about_the_middle(dataset, info)?)?);
+        Ok(Some(measured))
+    }
+
     /// Popping of the frames of `renderer` along `path`, in the coordinates of its scene; `None` if no surface is seen
     /// twice, or with fewer than 8 cameras.
     pub fn along(renderer: &Renderer, path: &[Camera]) -> Result<Option<Self>> {
@@ -81,7 +99,7 @@ impl Measured {
         };
         let pixels_compared = all_pairs.each_ref().map(|pairs| mean(&pairs.shares).unwrap_or(0.0));
         let worst = all_pairs.map(|pairs| pairs.worst.expect("a mean is of at least one pair"));
-        Ok(Some(Self { popping: Popping { flip_1, flip_7, frames: count, pixels_compared }, worst }))
+        Ok(Some(Self { popping: Popping { flip_1, flip_7, frames: count, pixels_compared, jumps: None }, worst }))
     }
 }
 

@@ -51,7 +51,7 @@ impl LayerPictures {
 /// Pictures of the layers of `view`, which `renderer` rendered from `camera`.
 pub fn layer_pictures(renderer: &Renderer, camera: &Camera, view: &Render) -> LayerPictures {
     let (width, height) = (camera.width, camera.height);
-    let transmittance = tensor_to_rows(&view.composite.transmittance);
+    let transmittance = tensor_to_rows(&view.seen.transmittance);
     let behind: Vec<&[f32]> = transmittance.chunks_exact(width * height).skip(1).collect();
     let geometry = renderer.geometry(camera, view);
     let coverage: Vec<f32> = behind.last().into_iter().flat_map(|last| last.iter().map(|t| 1.0 - t)).collect();

@@ -11,9 +11,7 @@ pub(super) fn median_depth(view: &Rendered, camera: &Camera) -> Vec<f32> {
     let area = camera.width * camera.height;
     match view {
         Rendered::Peeled(view) => {
-            let (depth, transmittance) =
-                (tensor_to_rows(&view.layers.depth), tensor_to_rows(&view.composite.transmittance));
-            first_half_opaque(&depth, &transmittance[area..], area)
+            first_half_opaque(&tensor_to_rows(&view.layers.depth), &tensor_to_rows(&view.seen.weights), area)
         }
         Rendered::Blended(view) => {
             view.blend.maps.as_ref().map_or_else(|| vec![0.0; area], |maps| tensor_to_rows(&maps.median_depth))
@@ -30,11 +28,16 @@ fn mean_where_half(weighted: &[f32], alpha: &[f32]) -> Vec<f32> {
     weighted.iter().zip(alpha).map(|(depth, &alpha)| if alpha >= 0.5 { depth / alpha } else { 0.0 }).collect()
 }
 
-/// Median depth from layers of `area` pixels: their depth, and the transmittance behind each.
-fn first_half_opaque(depth: &[f32], behind: &[f32], area: usize) -> Vec<f32> {
+/// Median depth from layers of `area` pixels: their depth and weight.
+fn first_half_opaque(depth: &[f32], weights: &[f32], area: usize) -> Vec<f32> {
     let of_pixel = |pixel: usize| {
+        let mut hidden = 0.0;
         let mut layers = (pixel..depth.len()).step_by(area);
-        layers.find(|&layer| behind[layer] <= 0.5).map_or(0.0, |layer| depth[layer])
+        let median = layers.find(|&layer| {
+            hidden += weights[layer];
+            hidden >= 0.5
+        });
+        median.map_or(0.0, |layer| depth[layer])
     };
     (0..area).map(of_pixel).collect()
 }
@@ -53,7 +56,7 @@ mod tests {
         let infinite = f32::INFINITY;
         // the first layer; the second; none, with and without layers
         let depth = [1.0, 2.0, 3.0, infinite, 4.0, 5.0, infinite, infinite];
-        let behind = [0.5, 0.75, 0.875, 1.0, 0.25, 0.375, 0.875, 1.0];
-        assert_eq!(first_half_opaque(&depth, &behind, 4), [1.0, 5.0, 0.0, 0.0]);
+        let weights = [0.5, 0.25, 0.125, 0.0, 0.25, 0.375, 0.0, 0.0];
+        assert_eq!(first_half_opaque(&depth, &weights, 4), [1.0, 5.0, 0.0, 0.0]);
     }
 }

@@ -98,11 +98,10 @@ impl Rendered {
         }
     }
 
-    /// Share of the picture that surfels cover, 1 − Π (1 − α) over the layers of a pixel; `None` without layers. Where it is low,
-    /// Gaussians are summed without any order.
+    /// Share of the picture that surfels cover; `None` without layers. Where it is low, Gaussians are summed without any order.
     pub fn coverage(&self) -> Option<f64> {
-        let alpha = self.peeled()?.layers.alpha.clone();
-        Some(1.0 - f64::from(tensor_to_rows(&(-alpha + 1.0).prod_dim(0).mean())[0]))
+        let behind = self.peeled()?.seen.behind_all();
+        Some(1.0 - f64::from(tensor_to_rows(&behind.mean())[0]))
     }
 }
 
@@ -293,8 +292,13 @@ impl Renderer {
         Ok(FrameTimes::new(times, Vec::new()))
     }
 
+    /// `[N]` of the surfels.
+    pub(super) fn margins(&self) -> Vec<f32> {
+        tensor_to_rows(&self.surfels.margins)
+    }
+
     /// Blended depth and normals of the surfels in a `view` from `camera`.
     pub fn geometry(&self, camera: &Camera, view: &Render) -> Geometry {
-        geometry(&self.surfels, &view.layers, &view.composite.transmittance, camera)
+        geometry(&self.surfels, &view.layers, &view.seen.weights, camera)
     }
 }

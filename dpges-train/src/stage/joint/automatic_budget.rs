@@ -81,7 +81,7 @@ impl JointStage {
             let (camera, ranks) = (&view.camera, &*self.dealt.ranks);
             let rendered = render_on_ranks(&surfels, &gaussians, camera, None, &options, Values::KnownFinite, ranks)?;
             let pixels = view.camera.width * view.camera.height;
-            let open = open_share(&tensor_to_rows(&rendered.composite.transmittance), pixels);
+            let open = open_share(&tensor_to_rows(&rendered.seen.transmittance), pixels);
             shares.iter_mut().zip(open).for_each(|(sum, share)| *sum += share / views.len() as f64);
         }
         let fewest = if self.info.modulation < HARD_RIM { 2 } else { 1 };

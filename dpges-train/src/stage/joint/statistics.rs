@@ -102,7 +102,7 @@ impl Statistics {
             return Ok(());
         }
         let gaussians = gaussians.map_ref(|_, values| values.clone().inner());
-        let (limits, gates) = (render.limits.clone().inner(), gates(render));
+        let (limits, gates) = (render.seen.limits.clone().inner(), gates(render));
         if prunes {
             let mut colours = render.gaussian_colours.clone().inner();
             if colours.dims()[0] > count {
@@ -132,7 +132,7 @@ fn error(render: &Render, target: &Target) -> Tensor<3> {
 
 /// [K, H, W] weight of each depth interval in a pixel: T_{k−1} / (1 + W_G).
 fn gates(render: &Render) -> Tensor<3> {
-    let [layers, height, width] = render.limits.dims();
-    let transmittance = render.composite.transmittance.clone().inner().slice([0..layers, 0..height, 0..width]);
+    let layers = render.layers.ids.dims()[0];
+    let transmittance = render.seen.transmittance.clone().inner().slice_dim(0, 0..layers);
     transmittance / (render.composite.gaussian_weight.clone().inner() + 1.0)
 }

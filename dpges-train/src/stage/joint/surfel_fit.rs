@@ -6,7 +6,7 @@
 use burn::tensor::DType;
 use dpges_core::ops::peel::{PeelOptions, peel};
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{Rendering, SurfelData, Surfels};
+use dpges_core::scene::{Peeling, Rendering, SurfelData, Surfels};
 
 use super::super::{Context, TrainError};
 use super::blended_depth::BlendedMaps;
@@ -86,12 +86,13 @@ impl Context {
     }
 
     fn covers(&self, surfels: &SurfelData, seen: &[(usize, Vec<f32>)]) -> Result<Vec<Cover>, TrainError> {
-        let options = PeelOptions { layer_count: 1, backstop: false, ..(&self.scene_info(Rendering::Peeled)).into() };
+        let options =
+            PeelOptions { layer_count: 1, peeling: Peeling::Nearest, ..(&self.scene_info(Rendering::Peeled)).into() };
         let mut covers = vec![Cover::default(); surfels.len()];
         let surfels = Surfels::from_data(surfels, &self.device, DType::F32);
         for (index, seen) in seen {
             let camera = &self.dataset.train[*index].camera;
-            let layers = peel(&surfels.positions, &surfels.quaternions, &surfels.log_scales, camera, &options)?;
+            let layers = peel(&surfels, camera, &options)?;
             let ids: Vec<i32> = layers.ids.into_data().iter::<i32>().collect();
             add_view(&mut covers, &ids, &tensor_to_rows(&layers.alpha), &tensor_to_rows(&layers.depth), seen);
         }

@@ -160,7 +160,7 @@ pub mod tests {
     fn every_knob_that_a_scene_has_is_tried_at_values_other_than_its_own() {
         let (scene, _) = scene();
         let labels: Vec<String> = Change::all(&scene, true).iter().map(Change::to_string).collect();
-        let expected = "layers=1 layers=2 layers=4 footprint=opacity modulation=0.5w modulation=2w modulation=4w \
+        let expected = "layers=1 layers=2 layers=3 layers=4 footprint=opacity modulation=0.5w modulation=2w modulation=4w \
                         detail=1 detail=0 primitives=75% primitives=50% primitives=25% \
                         resolution=75% resolution=50% resolution=25% sums=16bit";
         let levels = Quality::LEVELS.iter().map(|(name, _)| format!("compression={name}"));

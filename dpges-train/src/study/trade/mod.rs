@@ -53,7 +53,7 @@ pub fn variants(config: &Config, dataset: &Dataset, is_wanted: &dyn Fn(&str) -> 
         add(other.0, "colour", vec![other.1.to_owned()]);
     }
     if config.train.method == Method::Dpges {
-        for (label, layers) in [("layers-1", 1), ("layers-2", 2), ("layers-4", 4)] {
+        for (label, layers) in [("layers-1", 1), ("layers-2", 2), ("layers-3", 3), ("layers-4", 4)] {
             // rims fade into what a second layer shows: without one they have to be hard
             let modulation = config.model.modulation.max(if layers == 1 { HARD_RIM } else { 0.0 });
             if layers != config.model.layers {

@@ -6,9 +6,7 @@ use pulp::Simd;
 
 use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
-use crate::footprint::CUTOFF;
 use crate::math::{CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale};
-use crate::scene::Footprint;
 use crate::tiles::PixelRect;
 
 /// A ray misses the disc if the component of its direction along the normal is smaller than this.
@@ -42,7 +40,14 @@ pub struct Hit<T> {
     pub v: T,
     pub depth: T,
     pub facing: T,
-    pub kernel: T,
+}
+
+impl<T: Real> Hit<T> {
+    /// u² + v²: the squared distance from the centre, in σ².
+    #[inline(always)]
+    pub fn squared(&self) -> T {
+        self.u * self.u + self.v * self.v
+    }
 }
 
 impl<T: Real> Plane<T> {
@@ -85,9 +90,7 @@ impl<T: Real> Plane<T> {
     fn hit_of(&self, linear: impl Fn([T; 3]) -> T) -> Hit<T> {
         let facing = linear(self.facing);
         let inverse = T::one() / facing;
-        let (u, v, depth) = (linear(self.u) * inverse, linear(self.v) * inverse, self.distance * inverse);
-        let kernel = (T::of(-0.5) * (u * u + v * v)).exp_nonpositive();
-        Hit { u, v, depth, facing, kernel }
+        Hit { u: linear(self.u) * inverse, v: linear(self.v) * inverse, depth: self.distance * inverse, facing }
     }
 }
 
@@ -177,11 +180,10 @@ impl Disc {
     }
 
     /// Adds one pixel at an [`offset`](Self::offset), or at z, x and y of its ray through a lens, given the gradients with
-    /// respect to its kernel value and its depth.
+    /// respect to the exponent −(u² + v²) / 2 of its kernel and to its depth.
     #[inline(always)]
-    pub fn accumulate(&self, offset: V3<f64>, hit: &Hit<f64>, grad_kernel: f64, grad_depth: f64, sum: &mut DiscGrad) {
-        let grad_u = -grad_kernel * hit.kernel * hit.u;
-        let grad_v = -grad_kernel * hit.kernel * hit.v;
+    pub fn accumulate(&self, offset: V3<f64>, hit: &Hit<f64>, power: f64, grad_depth: f64, sum: &mut DiscGrad) {
+        let (grad_u, grad_v) = (-power * hit.u, -power * hit.v);
         let towards_u = grad_u / (hit.facing * self.scales[0]);
         let towards_v = grad_v / (hit.facing * self.scales[1]);
         let towards_facing = -(grad_u * hit.u + grad_v * hit.v + grad_depth * hit.depth) / hit.facing;
@@ -217,10 +219,21 @@ impl Disc {
         (apply_transposed(&camera.rotation, grad_centre), rotation_backward(quaternion, &grad_rotation), sum.log_scales)
     }
 
-    /// Pixels that the footprint of the surfel can reach, exactly (the bound of 2DGS, cut by the near plane); through a lens
-    /// a bound of them.
-    pub fn reach(&self, camera: &CameraOf<f64>, radius: f64) -> PixelRect {
-        let c = self.centre;
+    /// A depth that no point of the surfel is before, out to a squared radius in σ².
+    pub fn nearest(&self, squared_radius: f64) -> f64 {
+        let [along_u, along_v] = [0, 1].map(|j| self.scales[j] * column(&self.axes, j)[2]);
+        let reach = squared_radius.max(0.0).sqrt() * along_u.hypot(along_v);
+        // through a wide lens depths are distances, which are no smaller; in f32 they are rounded
+        self.centre[2] - reach - 1e-5 * (reach + self.centre[2].abs())
+    }
+
+    /// Pixels that the footprint of the surfel can reach, out to a squared radius in σ², exactly (the bound of 2DGS, cut by the
+    /// near plane); through a lens a bound of them. None for a negative one.
+    pub fn reach(&self, camera: &CameraOf<f64>, squared_radius: f64) -> PixelRect {
+        if squared_radius < 0.0 {
+            return PixelRect::EMPTY;
+        }
+        let (c, radius) = (self.centre, squared_radius.sqrt());
         let [a, b] = [0, 1].map(|j| scale(column(&self.axes, j), radius * self.scales[j]));
         let along = |i: usize| slope_range([c[i], c[2]], [a[i], a[2]], [b[i], b[2]], camera.near);
         let bounds = match &camera.lens {
@@ -239,17 +252,6 @@ pub struct Parameters {
     pub position: V3<f64>,
     pub quaternion: [f64; 4],
     pub log_scales: [f64; 2],
-}
-
-impl Footprint {
-    /// Radius in σ at which a surfel of modulation w ends; `None` if no part of it is visible.
-    pub fn radius(self, modulation: f64) -> Option<f64> {
-        let squared = match self {
-            Self::Kernel => -2.0 * CUTOFF.ln(),
-            Self::Opacity => 2.0 * (modulation / CUTOFF).ln(),
-        };
-        (squared >= 0.0).then(|| squared.sqrt())
-    }
 }
 
 /// Range of x / z over the part of the disc `centre + a cos θ + b sin θ` (boundary) with z > near,

@@ -164,7 +164,7 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
         let visible = disc.centre[2] > camera.near && opacity > CUTOFF;
         visible.then(|| {
             let squared_radius = 2.0 * (opacity / CUTOFF).ln() * (1.0 + 1e-5);
-            let mut reach = disc.reach(camera, squared_radius.sqrt());
+            let mut reach = disc.reach(camera, squared_radius);
             let low_pass = BoxCentre::new(&disc).map_or([NOWHERE; 2], |centre| {
                 let offset = [camera.fx * centre.offset[0], camera.fy * centre.offset[1]];
                 let (x, y) = (disc.plane.anchor[0] + offset[0], disc.plane.anchor[1] + offset[1]);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use burn::tensor::DType;
 use dpges_core::ops::peel::{PeelOptions, peel};
 use dpges_core::scene::tensors::tensor_to_rows;
-use dpges_core::scene::{ScreenFilter, Surfels};
+use dpges_core::scene::{Peeling, ScreenFilter, Surfels};
 use glam::{DVec3, Vec3};
 
 use super::{after, gaussians, trainer};
@@ -174,12 +174,11 @@ fn surfels_enter_where_views_agree() {
     let good = surfels.positions.as_chunks::<3>().0.iter().filter(|position| on_surface(position)).count();
     assert!(good * 5 >= surfels.len() * 4, "{good} of {}", surfels.len());
     // and few of their pixels are in front of the surface that is seen there: more than half are before surfels are shrunk
-    let options = PeelOptions { layer_count: 1, backstop: false, ..(&scene.info).into() };
+    let options = PeelOptions { layer_count: 1, peeling: Peeling::Nearest, ..(&scene.info).into() };
     let on_device = Surfels::from_data(surfels, &device(), DType::F32);
     let (mut covered, mut in_front) = (0, 0);
     for (view, depth) in dataset.train.iter().zip(&depths) {
-        let shape = [&on_device.positions, &on_device.quaternions, &on_device.log_scales];
-        let layers = peel(shape[0], shape[1], shape[2], &view.camera, &options).unwrap();
+        let layers = peel(&on_device, &view.camera, &options).unwrap();
         let (alpha, of_surfel) = (tensor_to_rows(&layers.alpha), tensor_to_rows(&layers.depth));
         for pixel in (0..depth.len()).filter(|&pixel| alpha[pixel] > 0.5) {
             covered += 1;
