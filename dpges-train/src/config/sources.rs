@@ -261,7 +261,7 @@ lambda_opacity = 0.0, lambda_gaussian_scale = 0.0, lambda_sky = 0.0, dropout = 0
 model = { colour = 'sb2', layers = 3, modulation = 30.0, opacity = 'linear', footprint = 'kernel', \
 peeling = 'nearest', margin = 'median', environment = 'none', sampling_limit = 0.0 }
 init = { limit_scales = false }
-stages = { surfels = 0.30769231, gaussians = 0.30769231, gaussians_by = 'dbs', surfel_opacity = 0.8, surfel_scale = 1.0, \
+stages = { surfels = 0.30769231, gaussians = 0.30769231, coarse = 0.0, gaussians_by = 'dbs', surfel_opacity = 0.8, surfel_scale = 1.0, \
 surfel_budget = 0, gaussian_budget = 0.8, joint_opacity = 'kept', position_share = 0.66666667 }
 discs = { lambda_normal = 0.05, lambda_distortion = 0.0 }
 density = { gradient_threshold = 2e-4 }
@@ -285,7 +285,7 @@ add_from = 3000, add_until = 13000, new_gaussians = 'black', split_every = 2000,
             let (train, refine) = (format!("lambda_scale = {lambda_scale}"), format!("surfel_pixels = '{pixels}px'"));
             assert_pins(name, &format!("data = {data}\ntrain = {{ {train} }}\nrefine = {{ {refine} }}"));
             assert_eq!(preset(name).data.test_every, 8, "{name}");
-            let stages = preset(name).plan();
+            let stages = preset(name).plan(usize::MAX);
             let lengths: Vec<usize> = stages.iter().map(|stage| stage.steps).collect();
             assert_eq!(lengths, [STAGE_STEPS, STAGE_STEPS, REFERENCE_STEPS], "{name}");
         }
@@ -302,7 +302,7 @@ density = { gradient_threshold = 2e-4 }
 refine = { surfel_pixels = '16px', gaussian_min_contribution = 0.02, split_until = 0 }
 ";
         assert_pins("ges", ges);
-        let lengths: Vec<usize> = preset("ges").plan().iter().map(|stage| stage.steps).collect();
+        let lengths: Vec<usize> = preset("ges").plan(usize::MAX).iter().map(|stage| stage.steps).collect();
         assert_eq!(lengths, [20_000, 30_000]);
     }
 

@@ -20,6 +20,9 @@ pub const SHORTEST_RESET: usize = 500;
 /// Standard deviation of the filter of Mip-Splatting, px: √0.2 with the digits of its measurements.
 const MIP_SPLATTING_PX: f64 = 0.447_213_6;
 
+/// Longest side from which on training views are learnt from at half of their size first, px.
+const COARSE_FROM: usize = 200;
+
 /// Largest number of steps after scaling; f64 does not hold much larger whole numbers exactly.
 const MOST_SCALED_STEPS: f64 = 1e15;
 
@@ -150,6 +153,14 @@ pub struct StagePlan {
     pub reference_steps: usize,
     /// Largest number of primitives, as a share of `refine.budget`; infinite without a limit.
     pub budget_share: f64,
+    /// Whether it learns from training views of half the width and height, with a quarter of the budget.
+    pub is_coarse: bool,
+}
+
+impl fmt::Display for StagePlan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_coarse && self.kind == StageKind::Joint { f.write_str("coarse") } else { self.kind.fmt(f) }
+    }
 }
 
 impl StagePlan {
@@ -217,13 +228,36 @@ impl Method {
 }
 
 impl Config {
-    /// The stages of a run in their order; the last has at least one step. A stage whose result comes from a file is
-    /// left out, and the run is shorter by its steps.
-    pub fn plan(&self) -> Vec<StagePlan> {
+    /// The stages of a run on training views with this longest side, px, in their order; the last has at least one step. A stage
+    /// whose result comes from a file is left out, and the run is shorter by its steps.
+    pub fn plan(&self, longest_side: usize) -> Vec<StagePlan> {
+        let mut plan = self.plan_at_one_size();
+        let stages = &self.stages;
+        let begins_anew = stages.surfels == 0.0 && stages.surfels_from.is_empty() && stages.gaussians_from.is_empty();
+        let end = (stages.coarse * self.train.steps as f64).round() as usize;
+        let joint = plan.last_mut().filter(|last| last.kind == StageKind::Joint && longest_side >= COARSE_FROM);
+        let Some(joint) = joint.filter(|joint| begins_anew && (joint.begin + 1..joint.end()).contains(&end)) else {
+            return plan;
+        };
+        let fine = StagePlan { begin: end, steps: joint.end() - end, ..*joint };
+        joint.steps = end - joint.begin;
+        plan.iter_mut().for_each(|stage| stage.is_coarse = true);
+        plan.push(fine);
+        plan
+    }
+
+    fn plan_at_one_size(&self) -> Vec<StagePlan> {
         let (all, stages) = (self.train.steps, &self.stages);
+        let stage = |kind, [begin, steps]: [usize; 2], reference_steps, budget_share| StagePlan {
+            kind,
+            begin,
+            steps,
+            reference_steps,
+            budget_share,
+            is_coarse: false,
+        };
         if let Some(blended) = self.train.method.alone() {
-            let kind = StageKind::Blended(blended);
-            return vec![StagePlan { kind, begin: 0, steps: all, reference_steps: METHOD_STEPS, budget_share: 1.0 }];
+            return vec![stage(StageKind::Blended(blended), [0, all], METHOD_STEPS, 1.0)];
         }
         let share = |share: f64| (share * all as f64).round() as usize;
         let gaussians_by = match stages.gaussians_by {
@@ -245,13 +279,11 @@ impl Config {
         let mut plan: Vec<StagePlan> = Vec::new();
         let mut begin = 0;
         for (kind, steps, budget_share) in before.into_iter().filter(|(_, steps, _)| *steps > 0) {
-            plan.push(StagePlan { kind, begin, steps, reference_steps: STAGE_STEPS, budget_share });
+            plan.push(stage(kind, [begin, steps], STAGE_STEPS, budget_share));
             begin += steps;
         }
         let steps = all.saturating_sub(discs + gaussians).max(1);
-        let joint =
-            StagePlan { kind: StageKind::Joint, begin, steps, reference_steps: REFERENCE_STEPS, budget_share: 1.0 };
-        plan.push(joint);
+        plan.push(stage(StageKind::Joint, [begin, steps], REFERENCE_STEPS, 1.0));
         plan
     }
 
@@ -273,12 +305,7 @@ impl Config {
 
     /// Steps of all stages.
     pub fn total_steps(&self) -> usize {
-        self.plan().last().map_or(0, StagePlan::end)
-    }
-
-    /// Steps of the last stage.
-    pub fn last_stage_steps(&self) -> usize {
-        self.plan().last().map_or(0, |stage| stage.steps)
+        self.plan_at_one_size().last().map_or(0, StagePlan::end)
     }
 
     /// Standard deviation of the filter in the world of a stage of Mip-Splatting, px.
@@ -291,10 +318,10 @@ impl Config {
         (!self.train.block.is_empty()).then(|| Path::new(&self.train.block))
     }
 
-    /// Whether surfels or Gaussians have been trained before the joint stage.
-    pub fn joins_trained(&self) -> bool {
+    /// Whether surfels or Gaussians have been trained before the joint stage of `plan`.
+    pub fn joins_trained(&self, plan: &StagePlan) -> bool {
         let stages = &self.stages;
-        self.plan().len() > 1 || !stages.surfels_from.is_empty() || !stages.gaussians_from.is_empty()
+        plan.begin > 0 || !stages.surfels_from.is_empty() || !stages.gaussians_from.is_empty()
     }
 }
 
@@ -304,8 +331,12 @@ mod tests {
     use crate::config::TrainConfig;
 
     fn plan(set: &[&str]) -> Vec<(String, usize, usize)> {
-        let plan = Config::with(set).unwrap().plan();
-        plan.iter().map(|stage| (stage.kind.to_string(), stage.begin, stage.steps)).collect()
+        plan_of(set, COARSE_FROM - 1)
+    }
+
+    fn plan_of(set: &[&str], longest_side: usize) -> Vec<(String, usize, usize)> {
+        let plan = Config::with(set).unwrap().plan(longest_side);
+        plan.iter().map(|stage| (stage.to_string(), stage.begin, stage.steps)).collect()
     }
 
     fn stage(kind: &str, begin: usize, steps: usize) -> (String, usize, usize) {
@@ -324,6 +355,24 @@ mod tests {
         assert_eq!(with("stages.gaussians_from=a"), [stage("2dgs", 0, 200), stage("joint", 200, 500)]);
         assert_eq!(with("train.method=2dgs"), [stage("2dgs", 0, 1000)]);
         assert_eq!(plan(&["train.steps=1", "stages.surfels=0", "stages.gaussians=0"]), [stage("joint", 0, 1)]);
+    }
+
+    #[test]
+    fn large_views_are_learnt_from_at_half_of_their_size_first() {
+        let set = ["train.steps=1000", "stages.gaussians=0.2", "stages.coarse=0.7"];
+        let large = |more: &'static str| plan_of(&[&set[..], &[more]].concat(), COARSE_FROM);
+        assert_eq!(plan(&set), [stage("mcmc", 0, 200), stage("joint", 200, 800)]);
+        let coarse = [stage("mcmc", 0, 200), stage("coarse", 200, 500), stage("joint", 700, 300)];
+        assert_eq!(large("stages.gaussians=0.2"), coarse);
+        let is_coarse =
+            Config::with(&set).unwrap().plan(COARSE_FROM).iter().map(|stage| stage.is_coarse).collect::<Vec<_>>();
+        assert_eq!(is_coarse, [true, true, false]);
+        for whole in ["stages.coarse=0", "stages.coarse=0.2", "stages.coarse=1"] {
+            assert_eq!(large(whole), plan(&set), "{whole}");
+        }
+        for other in ["stages.surfels=0.1", "stages.surfels_from=a", "stages.gaussians_from=a", "train.method=mcmc"] {
+            assert_eq!(large(other), plan(&[&set[..], &[other]].concat()), "{other}");
+        }
     }
 
     #[test]

@@ -22,6 +22,7 @@ mod finding;
 pub(crate) mod fixtures;
 mod folder;
 mod formats;
+mod halved;
 pub(crate) mod image;
 mod inventory;
 mod key;

@@ -11,7 +11,7 @@ use safetensors::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
 
 use super::validation::Validation;
-use crate::config::Config;
+use crate::config::{Config, StagePlan};
 use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
 use crate::stage::{OWNERS, in_order, is_dealt};
@@ -41,8 +41,10 @@ pub struct RunState {
     pub config: Config,
     pub info: SceneInfo,
     pub completed_steps: usize,
-    /// Index of the stage in the plan of the configuration.
+    /// Index of the stage in the [plan](Self::plan).
     pub stage: usize,
+    /// Width or height of the largest training view, px, by which the run was planned.
+    pub longest_side: usize,
     pub validation: Validation,
     /// Growth decisions of an automatic budget; `None` before the first, and with a fixed budget.
     pub growth: Option<Growth>,
@@ -51,6 +53,13 @@ pub struct RunState {
     pub remaining_views: Vec<u32>,
     /// Names of all training views. A run goes on only with the dataset it began with.
     pub view_names: Vec<String>,
+}
+
+impl RunState {
+    /// The stages of the run in their order.
+    pub fn plan(&self) -> Vec<StagePlan> {
+        self.config.plan(self.longest_side)
+    }
 }
 
 /// A run between two steps.
@@ -77,7 +86,7 @@ impl Checkpoint {
 
     /// Whether it was made between two stages or at the end of the run.
     pub fn stage_is_over(&self) -> bool {
-        let stage = self.config().plan().get(self.state.stage).copied();
+        let stage = self.state.plan().get(self.state.stage).copied();
         self.state.validation.stopped() || stage.is_none_or(|stage| self.completed_steps() >= stage.end())
     }
 

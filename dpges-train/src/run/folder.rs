@@ -31,7 +31,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::hold::{Hold, HoldError, check_file};
-use crate::config::{Config, StageKind};
+use crate::config::{Config, StagePlan};
 use crate::views::pose::RefinedPoses;
 
 /// Files of every run.
@@ -194,11 +194,11 @@ impl RunFolder {
         self.path.join("best.safetensors")
     }
 
-    pub fn stage_scene(&self, stage: StageKind) -> PathBuf {
+    pub fn stage_scene(&self, stage: &StagePlan) -> PathBuf {
         self.path.join(format!("stage_{stage}.safetensors"))
     }
 
-    pub fn stage_evaluation(&self, stage: StageKind) -> PathBuf {
+    pub fn stage_evaluation(&self, stage: &StagePlan) -> PathBuf {
         self.path.join(format!("stage_{stage}.json"))
     }
 
@@ -349,7 +349,7 @@ pub fn remove(path: &Path) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Blended, Relocation};
+    use crate::config::{Blended, Relocation, StageKind};
 
     #[test]
     fn every_scene_has_corrections_of_its_own_that_a_new_run_removes() {
@@ -357,7 +357,8 @@ mod tests {
         let run = RunFolder::new(folder.path());
         assert_eq!(run.corrections_of(&run.scene()), [run.exposure(), run.poses()]);
         let (mcmc, beta) = (Blended::Relocated(Relocation::Mcmc), Blended::Relocated(Relocation::Beta));
-        let stages = [Blended::Discs, mcmc, beta].map(|blended| run.stage_scene(StageKind::Blended(blended)));
+        let stages = [Blended::Discs, mcmc, beta]
+            .map(|blended| run.path().join(format!("stage_{}.safetensors", StageKind::Blended(blended))));
         for scene in stages.into_iter().chain([run.best()]) {
             for file in run.corrections_of(&scene) {
                 std::fs::write(&file, "old").unwrap();

@@ -82,7 +82,7 @@ pub fn dataset(info: &SceneInfo, train: Vec<View>) -> Dataset {
 
 /// A run of `config` on `dataset` that comes to its last stage, `done` (0 to 1) of which is over.
 pub fn last_stage(config: Config, dataset: Dataset, done: f64, device: &Device) -> (StagePlan, Context) {
-    let plan = *config.plan().last().expect("a run has stages");
+    let plan = *config.plan(0).last().expect("a run has stages");
     let mut context = Context::new(config, Arc::new(dataset), device.clone().into());
     context.completed_steps = plan.begin + (done * plan.steps as f64) as usize;
     (plan, context)

@@ -9,7 +9,7 @@ use super::checkpoint::Checkpoint;
 use super::folder::{Origin, RunFolder, remove, write_json};
 use super::record::Record;
 use super::{Run, RunError, TrainError, Trainer, shards, with_validation};
-use crate::config::Config;
+use crate::config::{Config, StagePlan};
 use crate::dataset::Dataset;
 use crate::device::memory::PeakMemory;
 use crate::device::place::Place;
@@ -51,7 +51,7 @@ impl SavedRun {
                 "train.steps = {steps}: {done} of {before} steps are done, and a run can only be made longer"
             ))));
         }
-        for share in [&mut config.stages.surfels, &mut config.stages.gaussians] {
+        for share in [&mut config.stages.surfels, &mut config.stages.gaussians, &mut config.stages.coarse] {
             *share = (*share * before as f64).round() / steps as f64;
         }
         state.validation.go_on();
@@ -63,9 +63,14 @@ impl SavedRun {
         ))
     }
 
+    /// The stages of the run in their order.
+    pub fn plan(&self) -> Vec<StagePlan> {
+        self.checkpoint.state.plan()
+    }
+
     /// Share of the last stage that is done.
     fn share_of_last_stage(&self) -> f64 {
-        let last = self.config().plan().last().copied();
+        let last = self.plan().last().copied();
         last.map_or(0.0, |last| self.completed_steps().saturating_sub(last.begin) as f64 / last.steps as f64)
     }
 

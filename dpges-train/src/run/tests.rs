@@ -221,7 +221,7 @@ fn a_run_goes_on_for_longer_and_with_a_dataset_that_moved() {
 
     assert!(error(saved().lengthen(29)).to_string().contains("30 of 30 steps are done"));
     let mut longer = saved();
-    let begins = |saved: &SavedRun| saved.config().plan().iter().map(|stage| stage.begin).collect::<Vec<_>>();
+    let begins = |saved: &SavedRun| saved.plan().iter().map(|stage| stage.begin).collect::<Vec<_>>();
     let (before, said) = (begins(&longer), longer.lengthen(36).unwrap());
     assert!(begins(&longer) == before && said.contains("after 75 % of it"), "{said}");
     let outcome = Run::resume(longer, dataset(), device()).unwrap().train(&mut ()).unwrap();
@@ -331,8 +331,8 @@ fn corrections_are_those_of_the_stage_that_is_kept() {
     let mut run = on_nine(&set, Some(folder.path()));
     let scene = run.train(&mut ()).unwrap().scene;
     assert_eq!(scene.info.rendering, Rendering::Ellipsoids);
-    let stage = run.trainer().last_but_one().unwrap().kind;
-    let [exposure, poses] = folder.corrections_of(&folder.stage_scene(stage));
+    let stage = run.trainer().last_but_one().unwrap();
+    let [exposure, poses] = folder.corrections_of(&folder.stage_scene(&stage));
     let read = |path: &Path| std::fs::read(path).unwrap();
     assert!(read(&folder.exposure()) == read(&exposure) && read(&folder.poses()) == read(&poses));
     assert!(folder.read_poses().unwrap() != run.trainer().view_corrections().poses);

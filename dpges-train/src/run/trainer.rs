@@ -47,11 +47,12 @@ impl Trainer {
     /// [`TrainError::Init`] if the dataset has nothing to begin with, [`TrainError::Pretrained`] if a file that the
     /// configuration names cannot take the place of a stage, [`TrainError::Plan`] if the plan lacks something else.
     pub fn new(config: Config, dataset: Arc<Dataset>, place: impl Into<Place>) -> Result<Self, TrainError> {
-        let plan = config.plan();
+        let plan = config.plan(dataset.longest_side());
         let place = place.into();
         let surroundings = Surroundings::read(&config, &dataset, &place)?;
         let mut context = Context { surroundings, ..Context::new(config, dataset, place) };
         context.check_plan(&plan)?;
+        context.resize(&plan[0])?;
         context.exposure = context.start_of_exposure()?;
         context.poses = context.start_of_poses();
         context.depth = context.start_of_depth();
@@ -64,7 +65,8 @@ impl Trainer {
     /// Whether there is all that the plan of a run needs, which [`new`](Self::new) asks first. It takes no time: a series of runs
     /// asks before it begins with any.
     pub fn check(config: &Config, dataset: &Arc<Dataset>, device: &Device) -> Result<(), TrainError> {
-        Context::new(config.clone(), Arc::clone(dataset), device.clone().into()).check_plan(&config.plan())
+        Context::new(config.clone(), Arc::clone(dataset), device.clone().into())
+            .check_plan(&config.plan(dataset.longest_side()))
     }
 
     /// Goes on where `checkpoint`, with the Gaussians of all ranks, was made, by any number of ranks.
@@ -74,6 +76,7 @@ impl Trainer {
     pub fn resume(checkpoint: Checkpoint, dataset: Arc<Dataset>, place: impl Into<Place>) -> Result<Self, TrainError> {
         let place = place.into();
         let Checkpoint { state, mut attributes, mut columns, max_pixels } = checkpoint;
+        let plan = state.plan();
         let RunState { config, info, completed_steps, stage: at, validation, growth, .. } = state;
         let RunState { rng, remaining_views, view_names, .. } = state;
         if view_names != names_of_views(&dataset) {
@@ -81,7 +84,6 @@ impl Trainer {
             let reason = format!("it was made with {before} training views, and these {now} are not the same ones");
             return Err(TrainError::resume(reason));
         }
-        let plan = config.plan();
         let Some(&current) = plan.get(at) else {
             return Err(TrainError::resume(format!("stage {at} of {} does not exist", plan.len())));
         };
@@ -91,6 +93,7 @@ impl Trainer {
         let surroundings = Surroundings::read(&config, &dataset, &place)?;
         let context = Context::new(config, dataset, place);
         let mut context = Context { rng, remaining_views, completed_steps, exposure, poses, surroundings, ..context };
+        context.resize(&current)?;
         context.depth = context.start_of_depth();
         context.place_cameras();
         let of_stage = StageCheckpoint { info, growth, attributes, columns, max_pixels };
@@ -115,6 +118,7 @@ impl Trainer {
             info,
             completed_steps: context.completed_steps,
             stage: self.at,
+            longest_side: self.context.longest_side(),
             validation: self.validation,
             growth,
             rng: context.rng.clone(),
@@ -179,6 +183,11 @@ impl Trainer {
         self.plan[self.at]
     }
 
+    /// The stages of the run in their order.
+    pub fn plan(&self) -> &[StagePlan] {
+        &self.plan
+    }
+
     /// Whether all steps of all stages are done, or the validation views have stopped to improve.
     pub fn is_finished(&self) -> bool {
         self.validation.stopped() || (self.is_in_last_stage() && self.stage_is_over())
@@ -235,7 +244,9 @@ impl Trainer {
         self.stage.hand_on(&mut self.trained);
         // the schedule of a stage counts passes from its start
         self.context.remaining_views.clear();
-        self.stage = stage::begin(self.plan[self.at + 1], &mut self.trained, &mut self.context)?;
+        let next = self.plan[self.at + 1];
+        self.context.resize(&next)?;
+        self.stage = stage::begin(next, &mut self.trained, &mut self.context)?;
         self.at += 1;
         Ok(())
     }

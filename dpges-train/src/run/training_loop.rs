@@ -122,15 +122,15 @@ impl Run {
         let (stage, scene) = (self.trainer.stage(), self.trainer.scene());
         self.check_device(observer)?;
         if let Some(record) = &self.record {
-            record.save_scene(&scene, &self.trainer.view_corrections(), &record.folder.stage_scene(stage.kind))?;
+            record.save_scene(&scene, &self.trainer.view_corrections(), &record.folder.stage_scene(&stage))?;
         }
         observer.stage_ended(stage, &scene);
         let (evaluation, floaters) = (self.evaluate(&scene, Measures::BASIC, observer)?, self.floaters(&scene)?);
         if let (Some(evaluation), Some(record)) = (evaluation, &self.record) {
-            let (file, report) = (record.folder.stage_scene(stage.kind), record.folder.stage_evaluation(stage.kind));
+            let (file, report) = (record.folder.stage_scene(&stage), record.folder.stage_evaluation(&stage));
             record.report("test", &file, &evaluation, floaters, &report)?;
         }
-        if self.trainer.last_but_one().is_some_and(|before| before.kind == stage.kind) {
+        if self.trainer.last_but_one() == Some(stage) {
             if !self.trainer.dataset().validation.is_empty() {
                 let psnr = self.deciding_psnr(&self.evaluate_validation(&scene)?);
                 self.trainer.validation.before_last_stage = Some(psnr);
@@ -154,13 +154,12 @@ impl Run {
         }
         tracing::warn!(
             "the last stage has made validation views worse, from {before:.2} to {psnr:.2} dB: the result is the scene of \
-             stage {} (a longer run may be better: --steps)",
-            stage.kind
+             stage {stage} (a longer run may be better: --steps)"
         );
         let Some(folder) = &self.folder else {
             return Ok(self.before_last_stage.take().expect("kept when the stage ended"));
         };
-        self.take(&folder.stage_scene(stage.kind))
+        self.take(&folder.stage_scene(&stage))
     }
 
     /// The scene in the file `earlier` of the folder, which becomes that of the run.

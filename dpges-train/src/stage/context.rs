@@ -13,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::config::{Budget, Config, StagePlan, Upwards};
 use crate::dataset::{Dataset, MOST_PREFETCHED, prefetch};
 use crate::device::place::Place;
+use crate::stage::TrainError;
 use crate::stage::{DevicePhotographs, Stage, StepViews, Surroundings};
 use crate::views::depth::DepthMaps;
 use crate::views::exposure::state::ExposureState;
@@ -20,8 +21,12 @@ use crate::views::pose::PoseState;
 
 /// State that all stages of a run share.
 pub struct Context {
-    /// With the cameras of the training views where they are by now, if their poses are refined.
+    /// At the size of the current stage, with the cameras of the training views where they are by now, if their poses are refined.
     pub dataset: Arc<Dataset>,
+    /// The dataset as it was loaded.
+    pub whole: Arc<Dataset>,
+    /// Whether `dataset` is at half of its size.
+    pub is_coarse: bool,
     pub config: Config,
     pub device: Device,
     /// Those that train the scene together.
@@ -40,8 +45,8 @@ pub struct Context {
     pub photographs: DevicePhotographs,
     /// The scene around a block; `None` if the run trains all.
     pub surroundings: Option<Arc<Surroundings>>,
-    /// The largest number of surfels and Gaussians together: that of the [cameras as they were recorded](budget), wherever
-    /// they have moved since.
+    /// The largest number of surfels and Gaussians together of the current stage: that of the [cameras as they were
+    /// recorded](budget), wherever they have moved since.
     pub budget: usize,
 }
 
@@ -53,6 +58,8 @@ impl Context {
         let photographs = DevicePhotographs::new(&config, &device);
         let budget = budget(&config, &dataset);
         Self {
+            whole: Arc::clone(&dataset),
+            is_coarse: false,
             dataset,
             config,
             device,
@@ -67,6 +74,33 @@ impl Context {
             surroundings: None,
             budget,
         }
+    }
+
+    /// Brings the photographs of the training views, and the budget, to the size of the stage of `plan`.
+    ///
+    /// # Errors
+    /// [`TrainError::Core`] if a photograph cannot be read.
+    pub fn resize(&mut self, plan: &StagePlan) -> Result<(), TrainError> {
+        if plan.is_coarse == self.is_coarse {
+            return Ok(());
+        }
+        self.is_coarse = plan.is_coarse;
+        let pixels = mean_pixels(&self.dataset);
+        self.dataset = if plan.is_coarse { Arc::new(self.whole.halved()?) } else { Arc::clone(&self.whole) };
+        self.place_cameras();
+        self.budget = budget(&self.config, &self.whole);
+        if plan.is_coarse {
+            let share = mean_pixels(&self.dataset) as f64 / pixels as f64;
+            self.budget = ((self.budget as f64 * share) as usize).max(1);
+        }
+        self.photographs = DevicePhotographs::new(&self.config, &self.device);
+        self.depth = self.start_of_depth();
+        Ok(())
+    }
+
+    /// Width or height of the largest training view of the last stage, px.
+    pub fn longest_side(&self) -> usize {
+        self.whole.longest_side()
     }
 
     /// Share of the whole run that is done.

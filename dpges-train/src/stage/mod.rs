@@ -28,6 +28,7 @@ use dpges_core::ranks::{Alone, Ranks};
 use dpges_core::scene::{EnvironmentData, GaussianData, SceneData};
 
 use crate::config::{Config, StageKind, StagePlan};
+use crate::init::InitialScene;
 use blended::BlendedStage;
 #[cfg(test)]
 pub use blended::ScreenGradients;
@@ -124,6 +125,8 @@ pub struct Observed {
 pub struct Trained {
     pub discs: Option<GaussianData>,
     pub gaussians: Option<GaussianData>,
+    /// Those of a joint stage, for the next to go on with.
+    pub joined: Option<InitialScene>,
     /// The environment that the next stage starts with; `None` in runs without one.
     pub environment: Option<EnvironmentData>,
 }

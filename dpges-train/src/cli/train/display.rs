@@ -69,7 +69,7 @@ impl Observer for Display<'_> {
     }
 
     fn stage_ended(&mut self, stage: StagePlan, scene: &SceneData) {
-        tracing::info!("stage {} is over: {} Gaussians", stage.kind, scene.gaussians.len());
+        tracing::info!("stage {stage} is over: {} Gaussians", scene.gaussians.len());
         self.other.stage_ended(stage, scene);
     }
 

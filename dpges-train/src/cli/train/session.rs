@@ -54,11 +54,11 @@ impl Session {
         let mut rows = vec![("trained", format!("{steps} steps in {}", Seconds(seconds)))];
         let counts = format!("{} surfels, {} Gaussians", scene.surfels.len(), scene.gaussians.len());
         rows.push(("scene", format!("{counts}, {:.1} MB", std::fs::metadata(&path)?.len() as f64 / 1e6)));
-        for stage in self.run.trainer().config().plan() {
-            if let Ok(text) = std::fs::read_to_string(self.folder.stage_evaluation(stage.kind)) {
+        for stage in self.run.trainer().plan() {
+            if let Ok(text) = std::fs::read_to_string(self.folder.stage_evaluation(stage)) {
                 let report: EvalReport = serde_json::from_str(&text)?;
                 let Evaluation { psnr, gaussians, .. } = report.evaluation;
-                rows.push(("stage", format!("{}: {psnr:.2} dB with {gaussians} Gaussians", stage.kind)));
+                rows.push(("stage", format!("{stage}: {psnr:.2} dB with {gaussians} Gaussians")));
             }
         }
         let mut files = vec![path, self.folder.metrics()];

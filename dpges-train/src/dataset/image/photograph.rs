@@ -5,8 +5,8 @@
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use moka::sync::Cache;
 
@@ -49,6 +49,32 @@ impl ImageInfo {
 enum Place {
     Memory(Arc<Picture>),
     File(Arc<InFile>),
+    Smaller(Arc<Smaller>),
+}
+
+/// A photograph made smaller from one in its file, whenever that is read.
+#[derive(Debug)]
+struct Smaller {
+    full: Photograph,
+    width: usize,
+    height: usize,
+    /// `None` if it does not stay in memory.
+    kept: Option<OnceLock<Arc<Picture>>>,
+}
+
+impl Smaller {
+    fn picture(&self) -> dpges_core::Result<Arc<Picture>> {
+        if let Some(picture) = self.kept.as_ref().and_then(OnceLock::get) {
+            return Ok(Arc::clone(picture));
+        }
+        let full = Arc::unwrap_or_clone(self.full.picture()?);
+        let picture = Arc::new(full.downscaled(self.width, self.height));
+        if let Some(kept) = &self.kept {
+            // another thread has the same
+            let _ = kept.set(Arc::clone(&picture));
+        }
+        Ok(picture)
+    }
 }
 
 /// A photograph in its file, and in memory at times.
@@ -117,11 +143,22 @@ impl Photograph {
         Self { place: Place::File(Arc::new(InFile { bytes: info.bytes, file, was_read, cache })), info }
     }
 
+    /// The photograph with `width` × `height` px, which stays in memory if this one does.
+    pub(in crate::dataset) fn smaller(&self, width: usize, height: usize) -> Self {
+        if let Place::Memory(picture) = &self.place {
+            return Picture::clone(picture).downscaled(width, height).into();
+        }
+        let kept = self.is_kept().then(OnceLock::new);
+        let place = Place::Smaller(Arc::new(Smaller { full: self.clone(), width, height, kept }));
+        Self { place, info: ImageInfo { bytes: 3 * width * height, ..self.info } }
+    }
+
     /// Whether it stays in memory once it was read.
     pub fn is_kept(&self) -> bool {
         match &self.place {
             Place::Memory(_) => true,
             Place::File(in_file) => in_file.file.stays,
+            Place::Smaller(smaller) => smaller.kept.is_some(),
         }
     }
 
@@ -130,6 +167,7 @@ impl Photograph {
         match &self.place {
             Place::Memory(_) => true,
             Place::File(in_file) => in_file.was_read.load(Ordering::Relaxed),
+            Place::Smaller(smaller) => smaller.full.was_read(),
         }
     }
 
@@ -155,6 +193,7 @@ impl Photograph {
     pub fn picture(&self) -> dpges_core::Result<Arc<Picture>> {
         match &self.place {
             Place::Memory(picture) => Ok(Arc::clone(picture)),
+            Place::Smaller(smaller) => smaller.picture(),
             Place::File(in_file) => in_file.picture().map_err(|error| dpges_core::Error::Io {
                 action: if self.was_read() { "cannot read again the photograph" } else { "cannot read the photograph" },
                 path: in_file.file.path.clone(),
@@ -169,7 +208,14 @@ impl Photograph {
 pub(crate) fn prefetch<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
     let (mut wanted, mut cache, mut passing_bytes) = (Vec::new(), None, 0usize);
     for photograph in photographs {
-        let Place::File(in_file) = &photograph.place else { continue };
+        let in_file = match &photograph.place {
+            Place::File(in_file) => in_file,
+            Place::Smaller(smaller) if smaller.kept.as_ref().is_none_or(|kept| kept.get().is_none()) => {
+                let Place::File(in_file) = &smaller.full.place else { continue };
+                in_file
+            }
+            _ => continue,
+        };
         if !in_file.file.stays {
             // beside them is the one in use
             passing_bytes = passing_bytes.saturating_add(in_file.bytes);

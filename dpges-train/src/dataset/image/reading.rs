@@ -150,6 +150,12 @@ mod tests {
                 assert_eq!(found.photograph.ignored_pixels(), expected.photograph.ignored_pixels());
             }
             assert_eq!(data.masked(), whole.masked());
+            let [found, expected] = [data, &whole].map(|data| data.halved().unwrap());
+            for (found, expected) in found.train.iter().zip(&expected.train) {
+                assert_eq!(found.picture().unwrap(), expected.picture().unwrap());
+                assert_eq!(found.camera.width, expected.picture().unwrap().width);
+            }
+            assert_eq!(kept(&found), kept(data));
         }
         assert_eq!(read(&folder, 20_000).spare_memory, 20_000 - 9 * 1152 - 384);
     }

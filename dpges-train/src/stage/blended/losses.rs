@@ -109,7 +109,7 @@ mod tests {
         let mean = |kind: Relocation, method: Method| {
             let mut config = Config::default();
             config.train.method = method;
-            let weights = Weights::of_relocated(&config.relocation, kind, (config.plan()[0], 0), 1.0);
+            let weights = Weights::of_relocated(&config.relocation, kind, (config.plan(0)[0], 0), 1.0);
             values(&weights.mean_opacity(&Tensor::from_floats([[-0.5], [0.25]], &device())))[0]
         };
         assert_eq!(mean(Relocation::Student, Method::Sss), 0.375);

@@ -295,7 +295,7 @@ fn first(values: Tensor<2>, count: usize, tape: &Device) -> Tensor<2> {
 
 /// Whether a stage of blended primitives is the whole run.
 fn is_alone(config: &Config) -> bool {
-    config.plan().len() == 1
+    config.train.method.alone().is_some()
 }
 
 impl Stage for BlendedStage {

@@ -140,7 +140,7 @@ mod tests {
     fn schedule(method: Method, steps: usize, views: usize) -> BlendedSchedule {
         let mut config = Config::default();
         (config.train.method, config.train.steps) = (method, steps);
-        BlendedSchedule::new(config.plan()[0], method.alone().unwrap(), views)
+        BlendedSchedule::new(config.plan(0)[0], method.alone().unwrap(), views)
     }
 
     #[test]

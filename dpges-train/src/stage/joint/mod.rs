@@ -27,7 +27,7 @@ use dpges_core::scene::{Gaussians, Rendering, SceneData, SceneInfo};
 
 use super::{
     Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
-    Surroundings, TrainError, environment,
+    Surroundings, TrainError, Trained, environment,
 };
 use crate::config::{Config, OpacityActivation, StagePlan};
 use crate::init::InitialScene;
@@ -96,7 +96,7 @@ impl JointStage {
         Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
-            schedule: Schedule::new(&context.config, context.dataset.train.len()),
+            schedule: Schedule::new(&context.config, plan.steps, context.dataset.train.len()),
             statistics: Statistics::new(surfels.len(), gaussians.len(), &context.device),
             surfels,
             gaussians,
@@ -256,7 +256,8 @@ impl Stage for JointStage {
     fn rates(&self, completed: usize, config: &Config) -> StepRates {
         let optimizer = &config.optimizer;
         let progress = completed as f64 / self.plan.steps as f64;
-        let travelled = if config.joins_trained() { config.stages.position_share + JOINT * progress } else { progress };
+        let travelled =
+            if config.joins_trained(&self.plan) { config.stages.position_share + JOINT * progress } else { progress };
         let (position, decay) = (optimizer.position_rate(travelled, self.info.extent), optimizer.decay_at(progress));
         let gaussians = Rates {
             positions: optimizer.joint_geometry * position,
@@ -278,5 +279,10 @@ impl Stage for JointStage {
 
     fn checkpoint(&self) -> StageCheckpoint {
         StageCheckpoint::of_joint(self)
+    }
+
+    fn hand_on(&self, trained: &mut Trained) {
+        let SceneData { surfels, gaussians, environment, .. } = self.scene();
+        (trained.joined, trained.environment) = (Some(InitialScene { surfels, gaussians }), environment);
     }
 }

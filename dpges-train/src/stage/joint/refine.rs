@@ -13,8 +13,8 @@ use super::super::{Context, TrainError};
 use super::JointStage;
 use super::schedule::Due;
 use crate::config::{Budget, NewGaussians};
-use crate::dataset::{EmptySpace, View};
 use crate::dataset::block::Bounds;
+use crate::dataset::{EmptySpace, View};
 use crate::refine::GaussianEdit;
 use crate::refine::add::{batch_size, draw_in_proportion, new_gaussians};
 use crate::refine::exact_relocation::{Renewal, renew};
@@ -33,7 +33,7 @@ impl JointStage {
     pub fn refine_due(&mut self, due: Due, context: &mut Context) -> Result<Vec<String>, TrainError> {
         let mut events = Vec::new();
         let makes_new = due.batches_left.is_some() || due.replace;
-        let is_automatic = context.config.refine.budget == Budget::Auto;
+        let is_automatic = context.config.refine.budget == Budget::Auto && !self.plan.is_coarse;
         // views judge what has learnt since the last batch, before anything else is changed
         let grown = if makes_new && is_automatic {
             let (wanted, told) = self.grow(context, due.batches_left)?;
@@ -67,7 +67,8 @@ impl JointStage {
         if makes_new {
             let removed = self.remove_useless(context);
             let primitives = self.primitives();
-            let (target, batches) = grown.map_or((context.budget, due.batches_left.unwrap_or(1)), |wanted| (wanted, 1));
+            let (target, batches) =
+                grown.map_or((context.budget_before_growth(), due.batches_left.unwrap_or(1)), |wanted| (wanted, 1));
             let replaced = match context.config.refine.new_gaussians {
                 NewGaussians::Copies => removed.min(target.saturating_sub(primitives)),
                 NewGaussians::Black => 0,

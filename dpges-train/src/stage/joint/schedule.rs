@@ -38,13 +38,13 @@ pub struct Due {
 const DROP_LOBES_AT: [usize; 2] = [16_000, 22_000];
 
 impl Schedule {
-    /// The schedule of the joint stage over `views` training views, each of which is drawn once per `views` steps.
+    /// The schedule of a joint stage of `length` steps over `views` training views, each of which is drawn once per `views` steps.
     ///
     /// Pruning is postponed to the end of the pass over the views, so that its statistics cover every view. Prunings
     /// that then coincide become one, and none happens if the run or its `_until` ends before the first pass. Frozen
     /// surfels are not pruned.
-    pub fn new(config: &Config, views: usize) -> Self {
-        let (refine, length) = (&config.refine, config.last_stage_steps());
+    pub fn new(config: &Config, length: usize, views: usize) -> Self {
+        let refine = &config.refine;
         let scale = length as f64 / REFERENCE_STEPS as f64;
         let scaled = |step: usize| (step as f64 * scale).round() as usize;
         let run = |steps: Vec<usize>, first: usize| {
@@ -120,7 +120,7 @@ mod tests {
 
     #[test]
     fn the_reference_run_has_the_schedule_of_the_paper() {
-        let schedule = Schedule::new(&config(REFERENCE_STEPS), 100);
+        let schedule = Schedule::new(&config(REFERENCE_STEPS), REFERENCE_STEPS, 100);
         assert_eq!(schedule.margins, [0, 4000]);
         assert_eq!(schedule.surfel_prune, (1..=15).map(|n| n * 1000).collect::<Vec<_>>());
         assert!(schedule.gaussian_prune.is_empty());
@@ -140,7 +140,7 @@ mod tests {
 
     #[test]
     fn shorter_runs_scale_it() {
-        let schedule = Schedule::new(&config(5000), 50);
+        let schedule = Schedule::new(&config(5000), 5000, 50);
         assert_eq!(schedule.margins, [0, 800]);
         assert_eq!(schedule.surfel_prune[..3], [200, 400, 600]);
         assert_eq!(schedule.surfel_prune.last(), Some(&3000));
@@ -149,17 +149,17 @@ mod tests {
 
     #[test]
     fn switches_take_their_changes_out_and_no_others() {
-        let all = Schedule::new(&config(REFERENCE_STEPS), 100);
+        let all = Schedule::new(&config(REFERENCE_STEPS), REFERENCE_STEPS, 100);
         let mut frozen = config(REFERENCE_STEPS);
         frozen.train.freeze_surfels = true;
-        assert_eq!(Schedule::new(&frozen, 100), Schedule { surfel_prune: vec![], ..all.clone() });
+        assert_eq!(Schedule::new(&frozen, REFERENCE_STEPS, 100), Schedule { surfel_prune: vec![], ..all.clone() });
         let mut automatic = config(REFERENCE_STEPS);
         automatic.refine.budget = Budget::Auto;
         let dropping = Schedule { drop_lobes: vec![16_000, 22_000], ..all.clone() };
-        assert_eq!(Schedule::new(&automatic, 100), dropping);
+        assert_eq!(Schedule::new(&automatic, REFERENCE_STEPS, 100), dropping);
         let mut unsplit = config(REFERENCE_STEPS);
         unsplit.refine.split_until = 0;
-        assert_eq!(Schedule::new(&unsplit, 100), Schedule { split: vec![], ..all });
+        assert_eq!(Schedule::new(&unsplit, REFERENCE_STEPS, 100), Schedule { split: vec![], ..all });
     }
 
     #[test]
@@ -169,9 +169,9 @@ mod tests {
             let refine = &mut config.refine;
             (refine.surfel_prune_until, refine.gaussian_prune_until, refine.split_until) = (until, until, until);
             (refine.add_until, refine.margins_at) = (until, vec![0, until]);
-            let growing = Schedule::new(&config, 100);
+            let growing = Schedule::new(&config, REFERENCE_STEPS, 100);
             (config.refine.add_until, config.refine.replace_until) = (4000, until);
-            [growing, Schedule::new(&config, 100)]
+            [growing, Schedule::new(&config, REFERENCE_STEPS, 100)]
         };
         let [growing, replacing] = ending_at(REFERENCE_STEPS);
         assert_eq!((growing.add.last(), growing.split.last()), (Some(&24_000), Some(&24_000)));
@@ -186,20 +186,20 @@ mod tests {
         let mut config = config(5000);
         config.refine.gaussian_prune_until = 2000;
         for views in [1, 7, 130, 311] {
-            let schedule = Schedule::new(&config, views);
+            let schedule = Schedule::new(&config, 5000, views);
             for steps in [&schedule.surfel_prune, &schedule.gaussian_prune] {
                 assert!(!steps.is_empty());
                 assert!(steps.iter().all(|step| step % views == 0), "{views}: {steps:?}");
                 assert!(steps.windows(2).all(|pair| pair[0] < pair[1]));
             }
         }
-        assert!(Schedule::new(&config, 401).gaussian_prune.is_empty());
+        assert!(Schedule::new(&config, 5000, 401).gaussian_prune.is_empty());
     }
 
     #[test]
     fn tiny_runs_and_odd_keys_give_ascending_steps_within_the_run() {
         for steps in [1, 2, 7, 40] {
-            let schedule = Schedule::new(&config(steps), 3);
+            let schedule = Schedule::new(&config(steps), steps, 3);
             for steps_of in [&schedule.surfel_prune, &schedule.gaussian_prune, &schedule.add, &schedule.split] {
                 assert!(steps_of.iter().all(|&step| step > 0 && step < steps));
                 assert!(steps_of.windows(2).all(|pair| pair[0] < pair[1]));
@@ -209,14 +209,14 @@ mod tests {
         let mut odd = config(1000);
         odd.refine.margins_at = vec![4000, 0, 4000, 90_000];
         odd.refine.add_from = 20_000;
-        let schedule = Schedule::new(&odd, 0);
+        let schedule = Schedule::new(&odd, 1000, 0);
         assert_eq!(schedule.margins, [0, 160]);
         assert!(schedule.add.is_empty());
     }
 
     #[test]
     fn ges_has_the_schedule_of_its_paper() {
-        let schedule = Schedule::new(&Config::resolve(Some("ges"), None, &[]).unwrap(), 1);
+        let schedule = Schedule::new(&Config::resolve(Some("ges"), None, &[]).unwrap(), 30_000, 1);
         assert!(schedule.surfel_prune.is_empty() && schedule.split.is_empty());
         let near = |found: &[usize], expected: &[usize]| {
             found.len() == expected.len() && found.iter().zip(expected).all(|(a, b)| a.abs_diff(*b) <= 1)

@@ -16,7 +16,13 @@ const START_SHARE: f64 = 0.6;
 
 impl JointStage {
     /// The stage of `plan`, with the discs and Gaussians that are `trained`.
-    pub fn begin(plan: StagePlan, trained: Trained, context: &mut Context) -> Result<Self, TrainError> {
+    pub fn begin(plan: StagePlan, mut trained: Trained, context: &mut Context) -> Result<Self, TrainError> {
+        let environment = environment::fresh(trained.environment.as_ref(), &context.device);
+        if let Some(mut joined) = trained.joined.take() {
+            let InitialScene { surfels, .. } = &mut joined;
+            surfels.margins = margins(&surfels.positions, &surfels.log_scales, context.config.model.margin);
+            return Ok(Self::new(plan, &joined, environment, None, context));
+        }
         let given = context.pretrained(SURFELS_FROM)?;
         let from_file = given.as_ref().filter(|scene| scene.info.rendering == Rendering::Discs);
         let discs = trained.discs.as_ref().or(from_file.map(|scene| &scene.gaussians));
@@ -33,7 +39,6 @@ impl JointStage {
             );
         }
         let start = context.start_of_joint(given.as_ref(), discs, trained.gaussians)?;
-        let environment = environment::fresh(trained.environment.as_ref(), &context.device);
         Ok(Self::new(plan, &start, environment, supervisions, context))
     }
 }

@@ -273,7 +273,7 @@ mod tests {
         assert_eq!(config("ges", "mipnerf360", "garden", false).data.image_scale, 4);
         let burn_in = |scene| {
             let config = config("sss", "mipnerf360", scene, false);
-            config.plan()[0].scaled(config.students.burn_in)
+            config.plan(0)[0].scaled(config.students.burn_in)
         };
         assert_eq!(["garden", "flowers", "bicycle", "stump"].map(burn_in), [7000, 7000, 15_000, 15_000]);
         let lambda = |scene| config("mcmc", "deep-blending", scene, false).relocation.lambda_opacity;

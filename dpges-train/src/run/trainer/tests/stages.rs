@@ -5,9 +5,9 @@ use std::sync::Arc;
 use dpges_core::camera::CameraFromWorld;
 use dpges_core::scene::{EnvironmentData, Rendering, SceneData};
 
-use super::{STAGES, after, end_stage, gaussians, trainer};
+use super::{STAGES, after, end_stage, gaussians, goes_on_alike, trainer};
 use crate::config::{Config, StageKind};
-use crate::dataset::builtin;
+use crate::dataset::{BuiltinOptions, builtin};
 use crate::eval::evaluate;
 use crate::run::Trainer;
 use crate::run::fixtures::{config, dataset, device, options, step_until, trained};
@@ -90,6 +90,42 @@ fn what_is_learnt_beside_the_primitives_learns_in_every_stage_and_goes_from_one_
     let without = super::trainer(&["train.steps=9"]);
     assert!(!without.corrects_exposure() && without.view_corrections() == ViewCorrections::default());
     assert!(without.scene().environment.is_none() && !without.checkpoint().attributes.contains_key("poses"));
+}
+
+#[test]
+fn coarse_stages_learn_from_half_of_the_photographs_and_hand_on_their_scene() {
+    // as large as pictures must be for it, and as small as they can be
+    let size = BuiltinOptions { width: 200, height: 5, ..options(5, [3, 1], 200) };
+    let data = Arc::new(builtin(&size));
+    let set = [
+        "train.steps=30",
+        "stages.gaussians=0.3",
+        "stages.coarse=0.6",
+        "refine.budget=400",
+        "train.poses=on",
+        "optimizer.pose_from=0",
+    ];
+    let begin = || Trainer::new(config(&set), Arc::clone(&data), device()).unwrap();
+    let mut trainer = begin();
+    for (stage, steps, width, most) in [("dbs", 9, 100, 120), ("coarse", 18, 100, 120), ("joint", 30, 200, 400)] {
+        step_until(&mut trainer, Trainer::stage_is_over);
+        assert_eq!((trainer.stage().to_string().as_str(), trainer.completed_steps()), (stage, steps));
+        let views = trainer.dataset();
+        assert_eq!((views.train[0].camera.width, views.test[0].camera.width), (width, 200), "{stage}");
+        assert_eq!(views.train[0].picture().unwrap().width, width, "{stage}");
+        let scene = trainer.scene();
+        let count = scene.surfels.len() + scene.gaussians.len();
+        assert!(count <= most && count > 0, "{stage}: {count}");
+        if !trainer.is_in_last_stage() {
+            trainer.next_stage().unwrap();
+        }
+        if stage == "coarse" {
+            let mut begun = trainer.scene();
+            begun.surfels.margins.clone_from(&scene.surfels.margins);
+            assert_eq!((begun.surfels, begun.gaussians), (scene.surfels, scene.gaussians));
+        }
+    }
+    goes_on_alike(begin, &data, &[5, 9, 14, 18, 24]);
 }
 
 #[test]
