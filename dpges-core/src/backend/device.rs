@@ -2,14 +2,14 @@
 
 use burn::tensor::Device;
 
-/// The CPU, by burn-ndarray, or by burn-flex without the feature `ndarray`. Burn's own default device is a GPU wherever
+/// The CPU, by burn-flex, or by burn-ndarray without the feature `flex`. Burn's own default device is a GPU wherever
 /// the feature `gpu` is on.
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub fn cpu() -> Device {
-    #[cfg(feature = "ndarray")]
-    return Device::ndarray();
-    #[cfg(not(feature = "ndarray"))]
-    Device::flex()
+    #[cfg(feature = "flex")]
+    return Device::flex();
+    #[cfg(not(feature = "flex"))]
+    Device::ndarray()
 }
 
 /// Whether `device` works on its own while the host goes on, and in f32 only: every CubeCL runtime.

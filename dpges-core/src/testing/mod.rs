@@ -15,8 +15,11 @@ pub mod random;
 pub mod ranks;
 pub mod scenes;
 
-/// A CPU device that is switched on, with a tape.
+/// A CPU device that is switched on, with a tape: burn-ndarray if it is.
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub fn device() -> burn::tensor::Device {
+    #[cfg(feature = "ndarray")]
+    return burn::tensor::Device::ndarray().autodiff();
+    #[cfg(not(feature = "ndarray"))]
     crate::backend::device::cpu().autodiff()
 }

@@ -11,7 +11,7 @@ use super::{Failure, Result};
 /// The option of commands that use one device.
 #[derive(Clone, Copy, Debug, Args)]
 pub struct DeviceArgs {
-    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// auto (a GPU that passes a check, or else the CPU), cpu, wgpu (the best GPU), or another one that
     /// `dpges devices` lists
     #[arg(long = "device", value_name = "NAME", default_value_t)]
     pub request: DeviceRequest,

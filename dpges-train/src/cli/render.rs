@@ -62,7 +62,7 @@ pub struct RenderArgs {
     /// Which renderer
     #[arg(long, value_enum, default_value_t = Engine::Training)]
     renderer: Engine,
-    /// Device of the training renderer: auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best
+    /// Device of the training renderer: auto (a GPU that passes a check, or else the CPU), cpu, wgpu (the best
     /// GPU), or another one that `dpges devices` lists [default: auto]. The other one takes the graphics adapter that wgpu
     /// prefers
     #[arg(long, value_name = "NAME")]

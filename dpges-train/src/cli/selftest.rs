@@ -20,7 +20,7 @@ use super::{Failure, Result, device_choice, print, print_json, table};
 /// two are apart, as tables in Markdown. Exits with 1 if any value is not finite.
 #[derive(Debug, Args)]
 pub struct SelftestArgs {
-    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// auto (a GPU that passes a check, or else the CPU), cpu, wgpu (the best GPU), or another one that
     /// `dpges devices` lists
     #[arg(long, value_name = "NAME", default_value = "wgpu")]
     device: DeviceRequest,

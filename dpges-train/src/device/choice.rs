@@ -83,7 +83,7 @@ pub fn select() -> Result<Selection, DeviceError> {
 /// # Errors
 /// [`DeviceError::NoCpu`] if the build has no CPU backend.
 pub fn cpu(reason: String) -> Result<Selection, DeviceError> {
-    match ["cpu", "cpu-flex"].into_iter().find_map(|name| name.parse().ok()) {
+    match ["cpu", "cpu-ndarray"].into_iter().find_map(|name| name.parse().ok()) {
         Some(device) => Ok(Selection { device, reason }),
         None => Err(DeviceError::NoCpu { reason }),
     }
@@ -186,7 +186,7 @@ pub mod check {
     }
 }
 
-#[cfg(all(test, feature = "gpu", feature = "ndarray"))]
+#[cfg(all(test, feature = "gpu", feature = "flex"))]
 mod tests {
     use std::time::Duration;
 

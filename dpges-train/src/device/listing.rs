@@ -19,7 +19,7 @@ pub struct Entry {
 /// # Errors
 /// [`DeviceError`] if one cannot be opened.
 pub fn cpus() -> Result<Vec<Entry>, DeviceError> {
-    let names = ["cpu", "cpu-flex"].into_iter().filter_map(|name| name.parse::<DeviceName>().ok());
+    let names = ["cpu", "cpu-ndarray"].into_iter().filter_map(|name| name.parse::<DeviceName>().ok());
     let entry = |name: DeviceName| {
         let (name, backend) = (name.to_string(), name.describe()?);
         let json = json!({ "device": name, "backend": backend });

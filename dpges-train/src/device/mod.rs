@@ -22,14 +22,14 @@ use burn::tensor::Device;
 use adapter_name::AdapterName;
 pub use choice::{DeviceRequest, Selection};
 
-/// The name of a device: `cpu` and `ndarray` are burn-ndarray, `cpu-flex` and `flex` are burn-flex. All others are
+/// The name of a device: `cpu` and `flex` are burn-flex, `cpu-ndarray` and `ndarray` are burn-ndarray. All others are
 /// graphics adapters, see [`AdapterName`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceName {
-    #[cfg(feature = "ndarray")]
-    NdArray,
     #[cfg(feature = "flex")]
     Flex,
+    #[cfg(feature = "ndarray")]
+    NdArray,
     #[cfg(feature = "gpu")]
     Gpu(AdapterName),
 }
@@ -55,9 +55,9 @@ pub const NO_ADAPTER_ADVICE: &str = "install the driver of the GPU (on Linux wit
                                      `--device cpu`";
 
 /// The accepted names, for messages.
-const KNOWN: &str = "auto (a GPU that passes a check, or else the CPU), cpu (burn-ndarray, also called ndarray), \
-                     cpu-flex (burn-flex, also called flex), wgpu (the best GPU), and what else `dpges devices` lists";
-const CPUS: [&str; 4] = ["cpu", "ndarray", "cpu-flex", "flex"];
+const KNOWN: &str = "auto (a GPU that passes a check, or else the CPU), cpu, wgpu (the best GPU), and what else \
+                     `dpges devices` lists";
+const CPUS: [&str; 4] = ["cpu", "flex", "cpu-ndarray", "ndarray"];
 /// Names of other ways to a GPU, which people try.
 const OTHER_GPUS: [&str; 3] = ["cuda", "rocm", "hip"];
 
@@ -132,10 +132,10 @@ impl DeviceName {
 impl fmt::Display for DeviceName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            #[cfg(feature = "ndarray")]
-            Self::NdArray => f.write_str("cpu"),
             #[cfg(feature = "flex")]
-            Self::Flex => f.write_str("cpu-flex"),
+            Self::Flex => f.write_str("cpu"),
+            #[cfg(feature = "ndarray")]
+            Self::NdArray => f.write_str("cpu-ndarray"),
             #[cfg(feature = "gpu")]
             Self::Gpu(name) => name.fmt(f),
         }
@@ -147,15 +147,15 @@ impl FromStr for DeviceName {
 
     fn from_str(text: &str) -> Result<Self, String> {
         match (text, AdapterName::parse(text)) {
-            #[cfg(feature = "ndarray")]
-            ("cpu" | "ndarray", _) => Ok(Self::NdArray),
             #[cfg(feature = "flex")]
-            ("cpu-flex" | "flex", _) => Ok(Self::Flex),
+            ("cpu" | "flex", _) => Ok(Self::Flex),
+            #[cfg(feature = "ndarray")]
+            ("cpu-ndarray" | "ndarray", _) => Ok(Self::NdArray),
             #[cfg(feature = "gpu")]
             (_, Some(name)) => Ok(Self::Gpu(name)),
-            (_, name) if name.is_some() || CPUS.contains(&text) => {
-                Err(format!("this build leaves out the backend of device `{text}`: build with its feature"))
-            }
+            (_, name) if name.is_some() || CPUS.contains(&text) => Err(format!(
+                "this build leaves out the backend of device `{text}`: build with its feature (flex, ndarray or gpu)"
+            )),
             _ if OTHER_GPUS.contains(&text) => Err(format!(
                 "there is no device `{text}`: every GPU is reached through wgpu, the best one as `wgpu`, each as \
                  `dpges devices` lists it"
@@ -171,7 +171,9 @@ mod tests {
 
     #[test]
     fn names_and_aliases_are_read() {
-        for (text, name) in [("cpu", "cpu"), ("ndarray", "cpu"), ("flex", "cpu-flex"), ("cpu-flex", "cpu-flex")] {
+        let named = [("cpu", "cpu"), ("flex", "cpu")].into_iter();
+        let with_ndarray = [("ndarray", "cpu-ndarray"), ("cpu-ndarray", "cpu-ndarray")].into_iter();
+        for (text, name) in named.chain(with_ndarray.filter(|_| cfg!(feature = "ndarray"))) {
             let device = text.parse::<DeviceName>().unwrap();
             assert!(device.is_cpu());
             assert_eq!(device.to_string(), name);
@@ -179,7 +181,7 @@ mod tests {
         assert!("cuda".parse::<DeviceName>().unwrap_err().contains("through wgpu"));
         for text in ["tpu", "wgpu:", "wgpu:first", "vulkan:0", "cpu:0"] {
             let error = text.parse::<DeviceName>().unwrap_err();
-            assert!(error.contains(text) && error.contains("cpu-flex"), "{error}");
+            assert!(error.contains(text) && error.contains("cpu, wgpu"), "{error}");
         }
     }
 

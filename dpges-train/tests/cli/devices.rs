@@ -24,8 +24,8 @@ fn the_first_line_says_which_device_and_why() {
     assert!(again.contains(&format!("device: {device} (")) && again.contains("as before"), "{again}");
     assert!(first_line(&["train", "--out=run", "--resume", "--device=auto"]).contains(", since "));
     assert!(first_line(&["eval", "run"]).contains(&format!("device: {device}, since ")));
-    let named = first_line(&["render", "run", "--out=pictures", "--device=cpu-flex"]);
-    assert!(named.contains("device: cpu-flex (burn-flex on the CPU), as --device says"), "{named}");
+    let named = first_line(&["render", "run", "--out=pictures", "--device=cpu-ndarray"]);
+    assert!(named.contains("device: cpu-ndarray (burn-ndarray on the CPU), as --device says"), "{named}");
     let study = ["ablate", "--out=study", "--only=full", "--steps=2", "--max-resolution=24", "--device=auto"];
     assert!(first_line(&study).contains(&format!("device: {device}, since ")));
     assert_eq!(json_of(at, &["devices", "--auto", "--json"])["device"], device);
@@ -35,7 +35,7 @@ fn the_first_line_says_which_device_and_why() {
 fn devices_are_listed_with_what_device_takes() {
     let at = &folder();
     let table = ok(at, &["devices"]);
-    assert_contains(&table, &["cpu-flex", "burn-ndarray", "wgpu"]);
+    assert_contains(&table, &["cpu-ndarray", "burn-flex", "wgpu"]);
     let list = json_of(at, &["devices", "--json"]);
     assert_eq!(list["cpus"][0]["device"], "cpu");
     let adapters = list["adapters"].as_array().unwrap();
@@ -55,10 +55,10 @@ fn devices_are_listed_with_what_device_takes() {
 fn the_cpus_pass_the_selftest() {
     let at = &folder();
     let table = ok(at, &["selftest", "--device", "cpu"]);
-    let parts = ["peel", "splat", "composite", "SSIM", "backward", "burn-ndarray", "all as they should be"];
+    let parts = ["peel", "splat", "composite", "SSIM", "backward", "burn-flex", "all as they should be"];
     assert_contains(&table, &parts);
     assert!(!table.contains("WRONG"), "{table}");
-    let report = json_of(at, &["selftest", "--device", "cpu-flex", "--json"]);
-    assert_eq!((&report["passed"], &report["device"]), (&Value::from(true), &Value::from("cpu-flex")));
+    let report = json_of(at, &["selftest", "--device", "cpu-ndarray", "--json"]);
+    assert_eq!((&report["passed"], &report["device"]), (&Value::from(true), &Value::from("cpu-ndarray")));
     assert!(report["tensors"].as_u64().unwrap() > 150, "{report}");
 }

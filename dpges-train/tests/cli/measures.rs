@@ -117,7 +117,7 @@ fn bench_step_measures_made_and_trained_scenes() {
     let small = ["--device=cpu", "--size=48x32", "--rounds=2", "--warm-up=0"];
     let made = ["bench", "step", "realistic", "--surfels=50", "--gaussians=200", "--json=step.json"];
     let table = ok(at, &[&made[..], &small].concat());
-    assert_contains(&table, &["burn-ndarray", "joint, 50 surfels, 200 Gaussians, 1 x 48x32 px", "median"]);
+    assert_contains(&table, &["burn-flex", "joint, 50 surfels, 200 Gaussians, 1 x 48x32 px", "median"]);
     let found = json(at.join("step.json"));
     assert_eq!((&found["emulated"], &found["gpu"]), (&false.into(), &Value::Null));
     assert!(found["steps"] == 2 && found["median_ms"].as_f64().unwrap() > 0.0, "{found}");

@@ -22,7 +22,7 @@ fn wrong_usage_is_exit_code_2_and_says_what_is_right() {
         ("compare --out a --budget auto", "--budget N"),
         ("compare --out a --method mcmc", "--methods"),
         ("train --device cuda", "through wgpu"),
-        ("train --device tpu", "cpu-flex"),
+        ("train --device tpu", "cpu, wgpu"),
         ("train --resume --overwrite", "cannot be used with"),
         ("eval", "<SCENE>"),
         ("data", "<DATASET>"),

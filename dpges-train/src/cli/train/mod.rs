@@ -42,7 +42,7 @@ pub struct TrainArgs {
     /// Folder of the run [default: runs/NAME OF THE DATASET]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// auto (a GPU that passes a check, or else the CPU), cpu, cpu-flex, wgpu (the best GPU), or another one that
+    /// auto (a GPU that passes a check, or else the CPU), cpu, wgpu (the best GPU), or another one that
     /// `dpges devices` lists [default: auto; with --resume, the device of the run]
     #[arg(long, value_name = "NAME")]
     device: Option<DeviceRequest>,
