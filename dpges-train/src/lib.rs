@@ -14,7 +14,7 @@
 //! | glam | poses in f64 |
 //! | exr | pictures of depth |
 //! | icu_normalizer | names with accents that systems write differently |
-//! | image, serde-ply | photographs; points in PLY files |
+//! | image, serde-ply, roxmltree | photographs; points in PLY files; cameras in XML |
 //! | kamadak-exif | which camera and lens took a photograph, and how it is turned |
 //! | kiddo | nearest neighbours: point spacing, margins, splits |
 //! | nalgebra | eigenvectors: the normals of points, the axes of merged primitives; lenses that are fitted |

@@ -7,8 +7,9 @@ pub type Result<T, E = DatasetError> = std::result::Result<T, E>;
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
     #[error(
-        "{path} is no dataset this program reads: looked for sparse/ (COLMAP), transforms_train.json (Blender) and \
-         transforms.json (nerfstudio), found {found}; point to the folder that holds one of them"
+        "{path} is no dataset this program reads: looked for sparse/ (COLMAP), transforms_train.json (Blender), \
+         transforms.json (nerfstudio) and cameras of Metashape, RealityScan, OpenSfM and Bundler, found {found}; point to the \
+         folder that holds one of them"
     )]
     UnknownFormat { path: PathBuf, found: String },
     #[error(
@@ -26,8 +27,12 @@ pub enum DatasetError {
     Truncated { path: PathBuf, what: String, needed: u64, left: usize },
     #[error("{path}: {what} is {found}, expected {expected}; repair the entry or remove it")]
     Malformed { path: PathBuf, what: String, found: String, expected: String },
-    #[error("{path} is not the JSON of a transforms file: {source}; NaN and infinity are not JSON either")]
+    #[error("{path} is not the JSON of a file of cameras: {source}; NaN and infinity are not JSON either")]
     Json { path: PathBuf, source: serde_json::Error },
+    #[error("{path} is not XML: {source}; copy or export it again")]
+    Xml { path: PathBuf, source: roxmltree::Error },
+    #[error("{path}: none of its {all} cameras has a position; align the photographs, then export the cameras again")]
+    NotAligned { path: PathBuf, all: usize },
     #[error("{path} is not a readable PLY point cloud: {source}; export it again or remove `ply_file_path`")]
     Ply { path: PathBuf, source: serde_ply::DeserializeError },
     #[error(

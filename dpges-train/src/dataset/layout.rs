@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use super::Format;
 use super::conventions::is_picture;
 use super::folder::Folder;
+use super::foreign;
 use super::key::{extension, key, parent, stem};
 
 /// Names of the files of transforms to train on, the first that is there, and their ends.
@@ -14,9 +15,11 @@ const TRANSFORMS: [(&str, &str); 4] =
 /// Ends of those of views that are held out, likewise.
 const HELD_OUT: [&str; 2] = ["_test", "_val"];
 /// Folders within a dataset, any of which may be named in its place.
-const PARTS: [&str; 9] = ["images", "input", "sparse", "colmap", "dense", "distorted", "undistorted", "model", "text"];
+const PARTS: [&str; 10] =
+    ["images", "input", "sparse", "colmap", "dense", "distorted", "undistorted", "model", "text", "opensfm"];
 /// One of which is in a folder with cameras.
-const SIGNS: [&str; 6] = ["sparse", "colmap", "cameras.bin", "cameras.txt", "transforms.json", "transforms_train.json"];
+const SIGNS: [&str; 7] =
+    ["sparse", "colmap", "cameras.bin", "cameras.txt", "transforms.json", "transforms_train.json", "opensfm"];
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cameras {
@@ -24,6 +27,8 @@ pub enum Cameras {
     Colmap(Vec<PathBuf>),
     /// A file of transforms, and one of views that are held out.
     Transforms { train: PathBuf, held_out: Option<PathBuf> },
+    /// Those of another program: a file, or one for each photograph.
+    Guest { format: Format, files: Vec<PathBuf> },
 }
 
 impl Cameras {
@@ -31,6 +36,7 @@ impl Cameras {
         match self {
             Self::Colmap(models) => models.clone(),
             Self::Transforms { train, held_out } => [train].into_iter().chain(held_out).cloned().collect(),
+            Self::Guest { files, .. } => files.clone(),
         }
     }
 }
@@ -62,9 +68,13 @@ impl Layout {
     /// The dataset at `path`: its folder, a file of its cameras, or a folder within it. `None` if there is none.
     pub fn find(path: &Path) -> Option<Self> {
         let name = |path: &Path| key(&path.file_name().unwrap_or_default().to_string_lossy());
-        let is_of_cameras = ["json", "bin", "txt"].contains(&extension(&name(path)));
+        let is_of_cameras = ["json", "bin", "txt", "xml", "csv", "out"].contains(&extension(&name(path)));
         let folder = if path.is_file() { path.parent().filter(|_| is_of_cameras)? } else { path };
-        let has_pictures = |layout: &Self| layout.folder.files.keys().any(|key| is_picture(key));
+        let has_pictures = |layout: &Self| {
+            // OpenSfM keeps copies of photographs, without their lenses, beside its cameras
+            let is_copy = |key: &str| layout.format().is_guest() && key.starts_with("undistorted/");
+            layout.folder.files.keys().any(|key| is_picture(key) && !is_copy(key))
+        };
         let here = Self::of(Folder::read(folder), path);
         if here.as_ref().is_some_and(has_pictures) {
             return here;
@@ -112,7 +122,16 @@ impl Layout {
         found.extend(has_sparse.then_some(Cameras::Colmap(sparse)));
         found.extend(TRANSFORMS.into_iter().filter_map(transforms));
         found.extend((!elsewhere.is_empty()).then_some(Cameras::Colmap(elsewhere)));
-        if extension(&key(&named.to_string_lossy())) == "json" {
+        if found.is_empty()
+            && let Some((format, files)) = foreign::first(&folder, |at| is_apart(&folder, at))
+        {
+            found.push(Cameras::Guest { format, files });
+        }
+        if let Some(format) = Some(named).filter(|named| named.is_file()).and_then(foreign::format_of) {
+            let guest = Cameras::Guest { format, files: vec![named.to_owned()] };
+            found.retain(|cameras| *cameras != guest);
+            found.insert(0, guest);
+        } else if extension(&key(&named.to_string_lossy())) == "json" {
             let is_it = |cameras: &Cameras| matches!(cameras, Cameras::Transforms { train, .. } if train == named);
             match found.iter().position(is_it) {
                 Some(at) => found.swap(0, at),
@@ -142,6 +161,7 @@ impl Layout {
                 Format::Blender
             }
             Cameras::Transforms { .. } => Format::Nerfstudio,
+            Cameras::Guest { format, .. } => *format,
         }
     }
 }

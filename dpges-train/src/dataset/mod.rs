@@ -1,6 +1,7 @@
-//! Photographs, cameras and points from disk: COLMAP, Blender and nerfstudio folders, and a small built-in scene.
+//! Photographs, cameras and points from disk: COLMAP, Blender and nerfstudio folders, cameras of Metashape, RealityScan, OpenSfM and
+//! Bundler, and a small built-in scene.
 //!
-//! `layout` finds the cameras among the files of a folder. A format reader (`colmap`, `nerfstudio`) describes the dataset as a
+//! `layout` finds the cameras among the files of a folder. A format reader (`colmap`, `nerfstudio`, `guest`) describes the dataset as a
 //! list of frames with lenses and poses; `assemble` finds its size and place, and moves geo-referenced worlds to the origin;
 //! `inventory` says of the other files that they are not used, by the `conventions` of the programs that write them; and
 //! `reading` reads the images in parallel, or only their headers, and then the others when they are needed: `decoder` undistorts
@@ -21,6 +22,7 @@ mod finding;
 #[cfg(test)]
 pub(crate) mod fixtures;
 mod folder;
+mod foreign;
 mod formats;
 mod halved;
 pub(crate) mod image;
@@ -222,7 +224,18 @@ pub enum Format {
     Colmap,
     Blender,
     Nerfstudio,
+    Metashape,
+    RealityScan,
+    OpenSfm,
+    Bundler,
     Builtin,
+}
+
+impl Format {
+    /// Whether photographs beside such cameras are also those of a reconstruction that is to be made anew.
+    pub(crate) fn is_guest(self) -> bool {
+        matches!(self, Self::Metashape | Self::RealityScan | Self::OpenSfm | Self::Bundler)
+    }
 }
 
 impl fmt::Display for Format {
@@ -231,13 +244,18 @@ impl fmt::Display for Format {
             Self::Colmap => "COLMAP",
             Self::Blender => "Blender",
             Self::Nerfstudio => "nerfstudio",
+            Self::Metashape => "Metashape",
+            Self::RealityScan => "RealityScan",
+            Self::OpenSfm => "OpenSfM",
+            Self::Bundler => "Bundler",
             Self::Builtin => "built-in",
         })
     }
 }
 
 /// The layout of the dataset at `path`, its folder or a file of its cameras: COLMAP if it has a folder `sparse`, else Blender if
-/// it has `transforms_train.json`, else nerfstudio if it has `transforms.json`, else COLMAP if it has a model elsewhere.
+/// it has `transforms_train.json`, else nerfstudio if it has `transforms.json`, else COLMAP if it has a model elsewhere, else the
+/// format of the cameras of another program.
 pub fn format(path: &Path) -> Option<Format> {
     Layout::find(path).map(|layout| layout.format())
 }
@@ -261,13 +279,14 @@ fn described(layout: &Layout, options: &LoadOptions) -> Result<Source> {
         Cameras::Transforms { train, held_out } => {
             formats::nerfstudio::read(layout, train, held_out.as_deref(), options)
         }
+        Cameras::Guest { format, files } => formats::guest::read(layout, *format, files, options),
     }
 }
 
 /// The error of a folder with cameras of programs that are not read; `None` if there are none, or whole datasets within.
 pub(crate) fn foreign(path: &Path) -> Option<DatasetError> {
     let folder = Folder::read(path);
-    let (program, files) = inventory::foreign_cameras(&folder).into_iter().next()?;
+    let (program, files) = foreign::cameras(&folder).into_iter().next()?;
     if Layout::are_within(&folder) {
         return None;
     }
@@ -321,7 +340,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("notes.md"), "").unwrap();
         let (at, options) = (folder.path(), LoadOptions::default());
-        let looked_for = ["sparse/", "transforms_train.json", "transforms.json"];
+        let looked_for = ["sparse/", "transforms_train.json", "transforms.json", "Metashape"];
         fixtures::assert_refused(at, &options, &[&looked_for[..], &[at.to_str().unwrap(), "notes.md"]].concat());
         fixtures::assert_refused(&at.join("absent"), &options, &["absent", "no such folder"]);
     }

@@ -44,7 +44,8 @@ impl Input {
         if path.is_file() {
             return has_extension(path, &VIDEOS).then(|| Self::Video { path: path.to_owned() });
         }
-        if dataset::format(path).is_some() || is_begun(path) || (!anew && dataset::foreign(path).is_some()) {
+        let is_dataset = dataset::format(path).is_some_and(|format| !anew || !format.is_guest());
+        if is_dataset || is_begun(path) || (!anew && dataset::foreign(path).is_some()) {
             return None;
         }
         let folders = std::iter::once(path.to_owned()).chain(SUBFOLDERS.map(|name| path.join(name)));

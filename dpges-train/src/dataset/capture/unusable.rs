@@ -9,7 +9,7 @@ use crate::dataset::conventions::READ;
 use crate::dataset::names::{in_folder, list, listing};
 
 const LOOKED_FOR: &str = "looked for a dataset (sparse/ of COLMAP, transforms_train.json of Blender, transforms.json of \
-                          nerfstudio), for photographs (JPEG, PNG or WebP, in the folder itself, in images/ or in input/), and for a \
+                          nerfstudio, or cameras of Metashape, RealityScan, OpenSfM or Bundler), for photographs (JPEG, PNG or WebP, in the folder itself, in images/ or in input/), and for a \
                           video (such as walk.mp4)";
 
 /// Why nothing can be trained on, in words.

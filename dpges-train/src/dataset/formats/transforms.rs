@@ -20,6 +20,8 @@ use crate::dataset::image::depth::DEFAULT_UNIT;
 const MOST_SHEARED: f64 = 0.03;
 /// The same, and the difference of s from 1, up to which that is not said.
 const ROUNDED: f64 = 2e-3;
+/// What is expected of a pose, for messages.
+pub(super) const ROTATION: &str = "a rotation without shear or mirroring";
 /// Beginnings of keys of a lens that the others do not describe, and whole ones.
 const LENS_WORDS: [&str; 9] = [
     "ftheta",
@@ -199,12 +201,18 @@ fn camera_from_world(path: &Path, view: &str, matrix: &[Vec<f64>]) -> Result<(Ca
     if !world_from_camera.is_finite() || !centre.is_finite() {
         return Err(malformed(format!("{matrix:?}"), "finite numbers"));
     }
+    rigid(world_from_camera, centre).ok_or_else(|| malformed(format!("{matrix:?}"), ROTATION))
+}
+
+/// The pose of a camera at `centre` whose OpenCV axes are the columns of a matrix, up to its scale, which is returned if it is not
+/// quite one, or the matrix not quite a rotation. `None` if it is sheared or mirrored.
+pub(super) fn rigid(world_from_camera: DMat3, centre: DVec3) -> Option<(CameraFromWorld, Option<f64>)> {
     let scale = world_from_camera.determinant().cbrt();
     let mut rotation = world_from_camera * scale.recip();
     let error = rotation.transpose() * rotation - DMat3::IDENTITY;
     let worst = error.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
     if !(worst <= MOST_SHEARED && scale > 0.0) {
-        return Err(malformed(format!("{matrix:?}"), "a rotation without shear or mirroring"));
+        return None;
     }
     // the nearest rotation (Higham)
     for _ in 0..4 {
@@ -212,7 +220,7 @@ fn camera_from_world(path: &Path, view: &str, matrix: &[Vec<f64>]) -> Result<(Ca
     }
     let rotation = DMat3::from_quat(DQuat::from_mat3(&rotation).normalize()).transpose();
     let is_said = worst > ROUNDED || (scale - 1.0).abs() > ROUNDED;
-    Ok((CameraFromWorld { rotation, translation: -(rotation * centre) }, is_said.then_some(scale)))
+    Some((CameraFromWorld { rotation, translation: -(rotation * centre) }, is_said.then_some(scale)))
 }
 
 impl Intrinsics {

@@ -1,25 +1,18 @@
 //! Unused files of a dataset: the only place that decides whether they are reported.
 
-use std::collections::{BTreeMap, BTreeSet, HashSet};
-use std::fs::File;
-use std::io::Read;
+use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
-use super::conventions::{self, ARRAYS, DEPTHS, MASKS, POINTS, is_picture, is_read, subject};
+use super::conventions::{ARRAYS, DEPTHS, MASKS, POINTS, is_picture, is_read, subject};
 use super::error::{Result, read_text};
 use super::finding::{Kind, Notices};
 use super::folder::Folder;
+use super::foreign::{self, BEGINNING};
 use super::formats::source::Source;
 use super::formats::{colmap, transforms};
 use super::key::{extension, key, parent, stem};
 use super::layout::{Cameras, Layout};
 
-/// Bytes of a file that say what it is.
-const BEGINNING: u64 = 1 << 16;
-/// Files of a kind in a folder that are looked into.
-const LOOKED_INTO: usize = 3;
-/// Folders within folders in which cameras of other programs are looked for.
-const DEEPEST: usize = 2;
 /// Files of a model of COLMAP beside the cameras and images, and its twin in another encoding.
 const OF_A_MODEL: [&str; 5] = ["cameras", "images", "points3d", "rigs", "frames"];
 
@@ -40,32 +33,6 @@ const NOT_USED: [(Kind, &str, &str); 6] = [
     (Kind::Unused, "points are not used", "a file points3D.ply beside the cameras is used where there are no others"),
     (Kind::Aside, "lists of views are not used", "train.txt and test.txt say which views are for what"),
 ];
-
-/// Programs whose cameras lie in a folder, with the files.
-pub fn foreign_cameras(folder: &Folder) -> BTreeMap<&'static str, Vec<PathBuf>> {
-    let mut found: BTreeMap<&'static str, Vec<PathBuf>> = BTreeMap::new();
-    let mut kinds: BTreeMap<(&str, &str), (usize, Option<&'static str>)> = BTreeMap::new();
-    let shallow = folder.files.iter().filter(|(key, _)| key.split('/').count() <= DEEPEST + 1);
-    for (key, path) in shallow {
-        if ["cameras", "images"].contains(&stem(parent(key).1)) && matches!(extension(key), "bin" | "txt") {
-            found.entry("a model of COLMAP, in part or of other photographs").or_default().push(path.clone());
-        } else if conventions::may_hold_cameras(key) {
-            let (count, program) = kinds.entry((parent(key).0, extension(key))).or_default();
-            *count += 1;
-            if *count <= LOOKED_INTO {
-                *program = beginning(path).and_then(|bytes| conventions::cameras_of(key, &bytes));
-            }
-            program.iter().for_each(|program| found.entry(program).or_default().push(path.clone()));
-        }
-    }
-    found
-}
-
-fn beginning(path: &Path) -> Option<Vec<u8>> {
-    let mut bytes = Vec::new();
-    File::open(path).ok()?.take(BEGINNING).read_to_end(&mut bytes).ok()?;
-    Some(bytes)
-}
 
 /// Says of everything in the folder of a dataset that might be part of it and is not `used` that it is not, and why.
 pub fn survey(layout: &Layout, source: &Source, mut used: HashSet<PathBuf>, reads_depth: bool) -> Notices {
@@ -149,7 +116,7 @@ pub fn survey(layout: &Layout, source: &Source, mut used: HashSet<PathBuf>, read
         let is_spare = at == 4 && !source.points.positions.is_empty();
         notices.add_files(if is_spare { Kind::Aside } else { kind }, what, root, files, advice);
     }
-    for (program, mut files) in foreign_cameras(folder) {
+    for (program, mut files) in foreign::cameras(folder) {
         files.retain(|path| !used.contains(path) && !is_of_model(&folder.key_of(path), path));
         let what = format!("cameras of {program} are not used, for {cameras_in} has others");
         notices.add_files(Kind::Aside, &what, root, &files, "nothing is lost");

@@ -160,8 +160,8 @@ fn the_other_half_of_a_reconstruction_and_photographs_without_cameras_are_said()
 #[test]
 fn cameras_of_programs_that_are_not_read_are_named() {
     let files: [(&str, &[u8], &str); 6] = [
-        ("cameras.xml", b"<document><chunk label='1'>", "Metashape"),
-        ("bundle.out", b"# Bundle file v0.3\n", "Bundler"),
+        ("blocks.xml", b"<BlocksExchange version='3.2'>", "ContextCapture"),
+        ("model.nvm", b"NVM_V3\n", "VisualSFM"),
         ("poses_bounds.npy", b"\x93NUMPY\x01\0v\0{'descr': '<f8', 'shape': (28, 17), }", "LLFF"),
         ("cameras.json", br#"[{"id": 0, "img_name": "a"}]"#, "3DGS"),
         ("cameras/000.json", br#"{"t_00": 1}"#, "Polycam"),
