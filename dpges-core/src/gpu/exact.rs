@@ -23,6 +23,7 @@ pub fn opaque(x: f32, zero: u32) -> f32 {
 /// a + b
 #[cube]
 pub fn two_sum(a: f32, b: f32, zero: u32) -> Pair {
+    // Knuth's sum, which needs no branch on which of the two is larger, as Dekker's does
     let high = opaque(a + b, zero);
     let of_b = opaque(high - a, zero);
     let of_a = opaque(high - of_b, zero);
@@ -32,12 +33,14 @@ pub fn two_sum(a: f32, b: f32, zero: u32) -> Pair {
 /// x with the upper half of its significand. x minus this is exact.
 #[cube]
 fn upper(x: f32) -> f32 {
+    // a mask, since Dekker's product with 2¹² + 1 overflows near the largest f32; what is left has 12 bits
     f32::reinterpret(u32::reinterpret(x) & 0xffff_f000u32)
 }
 
 /// a · b
 #[cube]
 pub fn two_product(a: f32, b: f32, zero: u32) -> Pair {
+    // products of halves of 12 bits are exact; `fma` would do with less, but WGSL lets it round twice
     let high = opaque(a * b, zero);
     let (a1, b1) = (upper(a), upper(b));
     let (a2, b2) = (opaque(a - a1, zero), opaque(b - b1, zero));
@@ -49,12 +52,14 @@ pub fn two_product(a: f32, b: f32, zero: u32) -> Pair {
 
 #[cube]
 pub fn add_pairs(a: Pair, b: Pair, zero: u32) -> Pair {
+    // low parts are added with rounding, by about 2⁻⁴⁸ of the larger operand
     let sum = two_sum(a.high, b.high, zero);
     two_sum(sum.high, sum.low + a.low + b.low, zero)
 }
 
 #[cube]
 pub fn multiply_pairs(a: Pair, b: Pair, zero: u32) -> Pair {
+    // low · low is left out: it lies below the last digit of a pair
     let product = two_product(a.high, b.high, zero);
     two_sum(product.high, product.low + (a.high * b.low + a.low * b.high), zero)
 }
@@ -71,6 +76,7 @@ pub fn negated(a: Pair) -> Pair {
 
 #[cube]
 pub fn divide_pairs(a: Pair, b: Pair, zero: u32) -> Pair {
+    // one step of long division: what is left of a after `first` gives the second number
     let first = opaque(a.high / b.high, zero);
     let rest = add_pairs(a, negated(multiply_pairs(exactly(first), b, zero)), zero);
     two_sum(first, rest.high / b.high, zero)

@@ -45,6 +45,7 @@ pub struct Gathered {
 /// Adds the numbers of all units of a primitive, in the order of the lanes.
 #[cube]
 pub fn total(own: &Array<f32>, count: u32, #[comptime] numbers: usize) -> Gathered {
+    // 16 KiB of workgroup memory, all that WebGPU guarantees, hold up to 16 numbers of each unit
     let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * numbers));
     let unit = UNIT_POS as usize;
     #[unroll]
@@ -52,6 +53,7 @@ pub fn total(own: &Array<f32>, count: u32, #[comptime] numbers: usize) -> Gather
         partial[unit * numbers + number] = own[number];
     }
     sync_cube();
+    // a unit adds one number of one primitive, and one after the other: a fixed order gives the same bits in every run
     let (slot, number) = (unit / numbers, unit % numbers);
     let primitive = CUBE_POS * GATHERED + slot;
     let present = slot < GATHERED && primitive < count as usize;

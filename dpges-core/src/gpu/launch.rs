@@ -11,6 +11,7 @@ use crate::error::Error;
 use crate::tiles::capacity::exceed;
 
 /// Units of a cube, in every kernel.
+// the most invocations of a workgroup that WebGPU guarantees
 pub const UNITS: u32 = 256;
 /// Halvings of [`UNITS`] down to 1.
 pub const HALVINGS: u32 = UNITS.ilog2();
@@ -28,6 +29,7 @@ pub fn cube_dim() -> CubeDim {
 /// A grid of at least `count` cubes. Kernels terminate surplus cubes.
 pub fn cubes(count: usize) -> CubeCount {
     let count = u32::try_from(count).expect("fewer than 2³² cubes").max(1);
+    // rows of equal length: fewer cubes than there are rows have nothing to do
     let rows = count.div_ceil(MAX_CUBES);
     CubeCount::Static(count.div_ceil(rows), rows, 1)
 }
@@ -115,6 +117,7 @@ pub fn integers(tensor: CubeTensor) -> CubeTensor {
 /// A tensor as the argument of a kernel. An empty tensor is bound as a buffer that no kernel reads.
 pub fn buffer(tensor: &CubeTensor) -> BufferArg {
     if tensor.shape().num_elements() == 0 {
+        // WebGPU has no bindings of no bytes
         return empty(tensor, [1], tensor.dtype).into_buffer_arg();
     }
     tensor.clone().into_buffer_arg()

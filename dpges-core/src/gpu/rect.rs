@@ -39,6 +39,7 @@ impl Rect {
 
     /// Number of pixels.
     pub fn area(&self) -> u32 {
+        // ends may lie before beginnings, and unsigned differences would wrap around
         select(self.is_filled(), (self.x1 - self.x0) * (self.y1 - self.y0), 0u32)
     }
 

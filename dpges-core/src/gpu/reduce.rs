@@ -24,6 +24,7 @@ pub fn sum_units(own: &Array<f32>, memory: &mut [f32], #[comptime] numbers: usiz
     }
     #[unroll]
     for halving in 0..HALVINGS {
+        // a tree: a fixed order, and errors that grow with the logarithm of the number of units
         let step = comptime!((UNITS >> (halving + 1)) as usize);
         sync_cube();
         if unit < step {

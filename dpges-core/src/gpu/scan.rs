@@ -26,6 +26,7 @@ pub const SCAN: usize = UNITS as usize + GROUP;
 /// a + b, at most the largest number.
 #[cube]
 fn plus(a: u32, b: u32) -> u32 {
+    // unsigned sums wrap around on devices, which shows by a sum below its summands
     let sum = a + b;
     select(sum < a, u32::MAX, sum)
 }
@@ -45,6 +46,7 @@ pub fn scan_units(own: u32, memory: &mut [u32]) -> Scanned {
     let unit = UNIT_POS as usize;
     memory[unit] = own;
     sync_cube();
+    // two levels of 16 need three barriers, where doubling steps would need eight
     if unit < GROUP {
         let mut sum = 0u32;
         for member in 0..GROUP {

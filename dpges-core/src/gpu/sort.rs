@@ -48,6 +48,7 @@ fn count_kernel(keys: &[u32], counts: &mut [u32], count: u32, shift: u32, #[comp
     for round in 0..PER_UNIT {
         let at = CUBE_POS * BLOCK + round * UNITS as usize + unit;
         if at < count as usize {
+            // integers: counts do not depend on the order of the units
             found[digit_of(keys[at], shift, radix) as usize].fetch_add(1u32);
         }
     }
@@ -90,6 +91,7 @@ fn sort_block(items: &mut [u32], counters: &mut [u32], memory: &mut [u32], shift
         counters[unit * COUNTERS + counter] += before;
     }
     sync_cube();
+    // a unit places its own items one after the other, in their order: this makes the sort stable
     #[unroll]
     for number in 0..PER_UNIT {
         let item = own[number];
@@ -121,6 +123,7 @@ fn scatter_kernel(
     }
     let unit = UNIT_POS as usize;
     let base = CUBE_POS * BLOCK;
+    // places and digits, not the pairs: with counters these take 14 of the 16 KiB that WebGPU guarantees
     let mut items = Shared::<[u32]>::new_slice(BLOCK);
     let mut counters = Shared::<[u32]>::new_slice(comptime!(COUNTERS * UNITS as usize));
     let mut memory = Shared::<[u32]>::new_slice(SCAN);
@@ -176,6 +179,7 @@ pub fn sorted_pairs(keys: CubeTensor, values: CubeTensor, bits: u32) -> (CubeTen
     let blocks = count.div_ceil(BLOCK);
     let mut shift = 0;
     while shift < bits {
+        // a pass reads and writes all pairs, whatever its digit: two nibbles at a time halve that
         let digit_bits = if bits - shift <= NIBBLE { NIBBLE } else { 2 * NIBBLE };
         let radix = 1 << digit_bits;
         let counts = empty_u32(&keys, [radix * blocks]);

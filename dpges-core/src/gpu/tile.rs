@@ -46,6 +46,7 @@ pub fn pixel_of(view: CameraUniforms, tile: u32, unit: u32) -> Pixel {
     let inside = column < view.width && row < view.height;
     Pixel {
         inside,
+        // units outside load from pixel 0, in bounds, since they must reach the barriers of their cube
         at: select(inside, row * view.width + column, 0u32) as usize,
         x: f32::cast_from(column) + 0.5f32,
         y: f32::cast_from(row) + 0.5f32,

@@ -122,10 +122,12 @@ pub fn transpose(m: Mat3) -> Mat3 {
     }
 }
 
-/// A power of two near the largest component and its reciprocal; (0, 0) if all components are zero.
+/// A power of two near the largest component, at least 2⁻¹²⁶, and its reciprocal.
 #[cube]
 fn magnitude(q: Quaternion) -> (f32, f32) {
     let largest = max(max(f32::abs(q.w), f32::abs(q.x)), max(f32::abs(q.y), f32::abs(q.z)));
+    // squares of components beyond 10¹⁹ overflow and below 10⁻¹⁹ vanish: all are divided by a power of two first;
+    // from 2⁻¹²⁶ to 2¹²⁶ it and its reciprocal are normal numbers, where devices may take subnormal ones for 0
     let exponent = clamp(u32::reinterpret(largest) & 0x7f80_0000u32, 0x0080_0000u32, 0x7e80_0000u32);
     (f32::reinterpret(exponent), f32::reinterpret(0x7f00_0000u32 - exponent))
 }
@@ -197,6 +199,7 @@ pub fn rotation_backward(raw: Quaternion, d: Mat3) -> Quaternion {
     let x = 2.0f32 * (q.w * skew_x - 2.0f32 * q.x * (d.row1.y + d.row2.z) + q.y * both_xy + q.z * both_xz);
     let y = 2.0f32 * (q.w * skew_y + q.x * both_xy - 2.0f32 * q.y * (d.row0.x + d.row2.z) + q.z * both_yz);
     let z = 2.0f32 * (q.w * skew_z + q.x * both_xz + q.y * both_yz - 2.0f32 * q.z * (d.row0.x + d.row1.y));
+    // a longer quaternion turns as far, so that the gradient is at right angles to it
     let along = w * q.w + x * q.x + y * q.y + z * q.z;
     Quaternion {
         w: (w - q.w * along) * inverse_length,
@@ -238,6 +241,7 @@ const PER_QUARTER: f32 = std::f32::consts::FRAC_2_PI;
 #[cube]
 pub fn sin_cos(angle: f32) -> (f32, f32) {
     let quarter = f32::round(angle * PER_QUARTER);
+    // products with the first part are exact, so that nothing is lost where the difference cancels
     let reduced = ((angle - quarter * 1.570_312_5f32) - quarter * 4.837_513e-4f32) - quarter * 7.549_79e-8f32;
     let s2 = reduced * reduced;
     let sine = reduced + reduced * s2 * (-0.166_666_55f32 + s2 * (8.332_161e-3f32 + s2 * -1.951_529_6e-4f32));

@@ -103,6 +103,7 @@ pub fn sight(view: CameraUniforms, x: f32, y: f32) -> Vec3 {
 #[cube]
 pub fn pixel_range(low: f32, high: f32, size: u32) -> (u32, u32) {
     let most = f32::cast_from(size);
+    // clamped before the cast, whose result is undefined in SPIR-V beyond the range of u32
     let first = clamp(f32::ceil(low - 0.5f32), 0.0f32, most);
     let end = clamp(f32::floor(high - 0.5f32) + 1.0f32, 0.0f32, most);
     (u32::cast_from(first), u32::cast_from(end))
@@ -130,6 +131,7 @@ pub struct Rests {
 
 impl Rests {
     pub fn launch(camera: &Camera) -> RestsLaunch {
+        // exact in f64: an edge-on disc magnifies what f32 loses of a camera
         let rest = |v: f64| v - f64::from(v as f32);
         let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy].map(|v| rest(v) as f32);
         let rotation = DMat3::from_cols_array(&camera.camera_from_world.rotation.to_cols_array().map(rest));

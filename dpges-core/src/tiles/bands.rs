@@ -32,6 +32,7 @@ impl Bands {
     /// The part of every plane of a [P, H, W] image that belongs to each band: `[band][plane]`.
     pub fn split<'a, V>(&self, image: &'a mut [V], width: usize) -> Vec<Vec<&'a mut [V]>> {
         let mut bands: Vec<Vec<&mut [V]>> = (0..BAND_COUNT).map(|_| Vec::new()).collect();
+        // chunks of length 0 panic, and an empty image has such planes
         for mut plane in image.chunks_mut((self.height * width).max(1)) {
             for (band, parts) in bands.iter_mut().enumerate() {
                 let (part, rest) = plane.split_at_mut(self.rows(band).len() * width);

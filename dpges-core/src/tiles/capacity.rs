@@ -22,6 +22,7 @@ thread_local! {
 pub fn within_capacity<T>(work: impl FnOnce() -> T) -> Result<T> {
     let before = IS_WITHIN.replace(true);
     let result = catch_unwind(AssertUnwindSafe(work));
+    // restored, not cleared: calls may be nested
     IS_WITHIN.set(before);
     result.map_err(|payload| payload.downcast::<Error>().map_or_else(|other| resume_unwind(other), |error| *error))
 }
@@ -31,6 +32,7 @@ pub fn within_capacity<T>(work: impl FnOnce() -> T) -> Result<T> {
 /// # Panics
 /// With the message of `error` if it does none.
 pub(crate) fn exceed(error: Error) -> ! {
+    // `resume_unwind` calls no panic hook, which would print a message for an error that the caller handles
     if cfg!(panic = "unwind") && IS_WITHIN.get() {
         resume_unwind(Box::new(error));
     }

@@ -12,6 +12,7 @@ use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 
 /// Edge of a square tile, px.
+// a unit for each pixel makes 256, the largest workgroup that WebGPU guarantees
 pub(crate) const TILE: usize = 16;
 pub(crate) const TILE_PIXELS: usize = TILE * TILE;
 /// Size of the regions of a tile, px: GPU kernels ask the pixels of a region together about a Gaussian, or none of them.
@@ -104,6 +105,7 @@ pub(crate) fn for_each_lanes<T: Real, S: Simd>(
     let offset = |axis: usize, first: usize| T::of(first as f64 + 0.5) - anchor[axis];
     let (groups, left, top) = (x0 / count..x1.div_ceil(count), offset(0, origin.0), offset(1, origin.1));
     let lanes: [T; TILE] = std::array::from_fn(|column| T::of(column as f64));
+    // groups outside and lines inside, so that the offsets in x are computed once for all lines
     for group in groups {
         let dx = Lanes::splat(simd, left) + Lanes::load(simd, &lanes[group * count..]);
         for line in y0..y1 {

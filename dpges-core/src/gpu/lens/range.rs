@@ -45,6 +45,7 @@ pub fn aside_ranges(lens: LensUniforms, u: Range, v: Range) -> (Range, Range) {
     let (s1, s2) = lens.thin_prism;
     let (t1, t2) = lens.thin_prism_quartic;
     let (uu, vv, uv) = (squared(u), squared(v), times(u, v));
+    // every term has its own extremes: ranges may be wider than necessary, never narrower
     let quartic = squared(plus(uu, vv));
     let mixed_x = scaled(uv, 2.0f32 * p1);
     let along_x = scaled(uu, 3.0f32 * p2 + s1);

@@ -97,10 +97,12 @@ impl Piece {
 
     /// Column and row of a pixel.
     pub fn pixel(&self, at: u32) -> (u32, u32) {
+        // an empty piece has no columns to divide by
         let width = max(self.x1 - self.x0, 1u32);
         (self.x0 + at % width, self.y0 + at / width)
     }
 
+    // one division for a piece in place of two for every pixel
     pub fn stride(&self) -> Stride {
         let width = max(self.x1 - self.x0, 1u32);
         Stride { columns: WORKERS % width, rows: WORKERS / width }
@@ -117,6 +119,7 @@ impl Piece {
 /// Whether the pieces of this cube exist; they come first. It is uniform over the cube.
 #[cube]
 pub fn cube_has_pieces(pieces: &[u32], most: u32) -> bool {
+    // uniform for WGSL, which allows an exit before barriers only if all units of the cube take it
     let mut end = Shared::<[u32]>::new_slice(1usize);
     if UNIT_POS == 0u32 {
         end[0] = 0u32;
@@ -178,6 +181,7 @@ fn areas_kernel(rects: &[u32], areas: &mut [f32], count: u32, parts: u32) {
     let mut own = zeros(1usize);
     let mut at = CUBE_POS as u32 * UNITS + UNIT_POS;
     while at < count {
+        // in f32: many large rectangles have more than 2³² pixels, and the sum only decides about a size
         own[0] += f32::cast_from(Rect::load(rects, at as usize).area());
         at += parts * UNITS;
     }
@@ -325,6 +329,7 @@ pub fn split_work(rects: &CubeTensor) -> WorkSplit {
         budget as f32 * 0.999,
     );
     let starts = scan::starts(&counts);
+    // a rectangle has one piece more than its area over their size, at most, and these shares add up to the budget
     let most = (count + budget).next_multiple_of(PIECES);
     let pieces = empty_u32(rects, [most, PIECE]);
     pieces_kernel::launch(

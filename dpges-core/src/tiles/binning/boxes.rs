@@ -24,6 +24,7 @@ fn extremes_kernel(ids: &[i32], extremes: &[Atomic<u32>], width: u32, height: u3
     let id = ids[at];
     if id >= 0i32 {
         let o = id as usize * RECT;
+        // only the ends of a run can be extremes; atomics at the pixels between would make units wait for nothing
         let mut first = x == 0u32;
         let mut last = x + 1u32 == width;
         let mut top = y == 0u32;
@@ -40,6 +41,7 @@ fn extremes_kernel(ids: &[i32], extremes: &[Atomic<u32>], width: u32, height: u3
         if y + 1u32 < height {
             bottom = ids[at + width as usize] != id;
         }
+        // integer maxima come out the same whichever unit is first
         if first {
             extremes[o].fetch_max(width - x);
         }
@@ -120,6 +122,7 @@ static FOUND: Mutex<Option<Found>> = Mutex::new(None);
 /// back over the same layers: what the first finds the second takes.
 pub fn visible_pieces(ids: &CubeTensor, count: usize) -> WorkSplit {
     let mut last = FOUND.lock().unwrap_or_else(PoisonError::into_inner);
+    // taken, not copied: nobody asks a third time, and the buffers are free for the next step
     if let Some(found) = last.take_if(|found| found.is_of(ids, count)) {
         return found.pieces;
     }

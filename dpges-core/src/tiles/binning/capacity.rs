@@ -132,6 +132,7 @@ pub(crate) fn with_room<T>(
 ) -> (T, usize) {
     let primitives = starts.shape()[0] - 1;
     let lists: Lists = (format!("{:?}", starts.device), kind);
+    // asked for before the list is launched, so that the answer does not wait for the list as well
     let length = begin_readback(starts);
     let (most, deferred) = (most(starts), is_deferred());
     let room = room(expected(&lists), primitives, tiles, deferred).min(ceiling()).min(most).max(1);
@@ -144,6 +145,7 @@ pub(crate) fn with_room<T>(
         });
         return (written, room);
     }
+    // the device writes the list while the host waits for its length
     starts.client.flush().expect("the device accepts work");
     let entries = wait(|| downloaded(length));
     if entries > most {
@@ -153,6 +155,7 @@ pub(crate) fn with_room<T>(
     if observe(lists, entries, room) {
         return (written, entries);
     }
+    // the short list is free before the long one is allocated
     drop(written);
     (write(entries), entries)
 }

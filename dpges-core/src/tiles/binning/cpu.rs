@@ -51,6 +51,7 @@ fn offsets(counts: &mut [Vec<u32>], tiles: usize) -> Vec<u32> {
     let mut total = 0u32;
     for tile in 0..tiles {
         offsets.push(total);
+        // chunks in their order keep the list of a tile ascending, whatever thread fills it first
         for chunk in counts.iter_mut() {
             let count = chunk[tile];
             chunk[tile] = total;
@@ -76,11 +77,13 @@ pub fn bin(rects: &[PixelRect], grid: TileGrid, touches: impl Fn(usize, usize, u
             counts
         })
         .collect();
+    // in 64 bits: a chunk adds at most `CHUNK` entries to a tile, but all together may exceed 32 bits
     let entries: u64 = counts.par_iter().map(|counts| counts.iter().map(|&count| u64::from(count)).sum::<u64>()).sum();
     if entries > MOST {
         exceed(too_many_entries(rects.len(), entries, MOST * size_of::<u32>() as u64));
     }
     let offsets = offsets(&mut counts, tiles);
+    // every place has one writer; relaxed atomics say so without `unsafe`, and cost what plain stores do
     let ids: Vec<AtomicU32> = (0..entries).map(|_| AtomicU32::new(0)).collect();
     rects.par_chunks(CHUNK).zip(counts).enumerate().for_each(|(chunk, (rects, mut cursor))| {
         for (i, rect) in rects.iter().enumerate() {

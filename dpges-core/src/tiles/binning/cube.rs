@@ -59,6 +59,7 @@ fn sizes_kernel(rects: &[u32], sizes: &mut [u32], count: u32) {
     if i >= count as usize {
         terminate!();
     }
+    // tiles that the primitive does not touch count, too: to test them here, one unit would visit all of a large one
     sizes[i] = tiles_of(Rect::load(rects, i)).area();
 }
 
@@ -123,6 +124,7 @@ impl TileList {
             range[0] = min(offsets[CUBE_POS], capacity);
             range[1] = min(offsets[CUBE_POS + 1], capacity);
         }
+        // WGSL allows barriers in a loop only if its bounds are uniform, which a load from a buffer is not
         let low = workgroup_uniform_load(&range[0]);
         let high = workgroup_uniform_load(&range[1]);
         TileList { start: low, length: min(high - low, count) }
@@ -153,6 +155,7 @@ impl TileList {
         let (first_width, second_width) = comptime!(widths);
         let stride = comptime!(first_width + second_width);
         let at = batch * UNITS + UNIT_POS;
+        // units may still read the batch before
         sync_cube();
         if at < self.length {
             let id = self.entry(ids, at) as usize;

@@ -22,6 +22,7 @@ pub struct AlongRay<T> {
 impl<T: Real> AlongRay<T> {
     pub fn new(camera: &CameraOf<T>, p: &Parameters<T>, splat: Splat<T>) -> Self {
         let (axes, centre) = (rotation(p.quaternion), camera.transform(p.position));
+        // a share of the distance, so that the order does not depend on the unit of the dataset
         let least = T::of(MIN_SCALE) * dot(centre, centre).sqrt();
         let whitening: M3<T> = std::array::from_fn(|d| {
             let deviation = p.log_scales[d].exp().max(least);
@@ -45,5 +46,6 @@ pub fn unit_ray<T: Real>(camera: &CameraOf<T>, [x, y]: [T; 2]) -> V3<T> {
         None => [position[0], position[1], T::one()],
         Some(lens) => lens.ray(position.map(T::as_f64)).map_or([T::zero(); 3], |ray| ray.map(T::of)),
     };
+    // where a lens shows nothing the ray is 0, and stays 0
     scale(along, T::one() / dot(along, along).max(T::of(1e-20)).sqrt())
 }

@@ -40,6 +40,7 @@ impl<T: Real> InView<T> {
                 || rows.filter_map(seen).collect::<Vec<_>>(),
             )
         };
+        // collected in the order of the chunks, so that sums do not depend on the number of threads
         let chunks: Vec<Vec<_>> = (0..count.div_ceil(CHUNK)).into_par_iter().map(seen_of_chunk).collect();
         // a counting sort, which keeps the rows of a tile in their order
         let mut next = vec![0; grid.len() + 1];

@@ -32,6 +32,7 @@ impl<T: Real, S: Simd> SplatLanes<T, S> {
     pub fn new(simd: S, splat: &Splat<T>) -> Self {
         let [p, q, r] = splat.root;
         let all = |value: T| Lanes::splat(simd, value);
+        // wider than its rounding, so that no pixel is left out that the comparison with the cutoff would keep
         let least_exponent = all(T::of(-0.5) * splat.squared_radius * T::of(1.0 + 1e-4) - T::of(1e-4));
         Self { simd, p: all(p), q, r, strength: all(splat.strength), least_exponent, cutoff: all(T::of(CUTOFF)) }
     }
@@ -43,6 +44,7 @@ impl<T: Real, S: Simd> SplatLanes<T, S> {
         let all = |value: T| Lanes::splat(self.simd, value);
         let (u, v) = (self.p.mul_add(dx, all(self.q * dy)), self.r * dy);
         let exponent = u.mul_add(u, all(v * v)) * all(T::of(-0.5));
+        // most rows of the box around a thin ellipse end here, before their exponentials, which cost most
         if !exponent.at_least(self.least_exponent).any() {
             return None;
         }

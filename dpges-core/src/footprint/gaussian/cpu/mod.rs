@@ -101,10 +101,12 @@ impl<T: Real> Projection<T> {
     fn new(camera: &CameraOf<T>, p: &Parameters<T>, filter: ScreenFilter) -> Self {
         let centre = camera.transform(p.position);
         let [x, y, z] = centre;
+        // far outside the image J grows without bound, and with it the ellipse: EWA is linear around the centre only
         let clamp = |slope: T, principal: T, focal: T, size: usize| {
             let size = T::of(size as f64);
             let margin = T::of(JACOBIAN_MARGIN) * size / focal;
             let clamped = slope.max(-principal / focal - margin).min((size - principal) / focal + margin);
+            // a clamped slope is a constant, without a gradient to the centre
             (clamped, clamped == slope)
         };
         let (sx, free_x) = clamp(x / z, camera.cx, camera.fx, camera.width);
@@ -210,6 +212,7 @@ impl<T: Real> Splat<T> {
         let strength = p.opacity.max(T::zero()) * projection.compensation();
         let [variance_x, covariance, variance_y] = projection.covariance;
         let (size, d) = (projection.size, projection.determinant);
+        // comparisons that NaN fails: a projection that overflows is not drawn
         let visible = shown && depth > camera.near && strength >= T::of(CUTOFF) && d > T::zero() && size < T::INFINITY;
         let across = (variance_y / size / d).sqrt() / projection.length;
         visible.then(|| Self {
@@ -230,6 +233,7 @@ impl<T: Real> Splat<T> {
 
     /// [`reach`](Self::reach) up to an offset in x or y from the mean, px.
     fn reach_within(&self, bound: f64, width: usize, height: usize) -> PixelRect {
+        // rounding must not cut off a pixel that reaches the cutoff
         let squared = self.squared_radius.as_f64() * (1.0 + 1e-5);
         let [half_x, half_y] = self.variances.map(|variance| (squared * variance.as_f64()).sqrt().min(bound));
         let (x, y) = (self.mean[0].as_f64(), self.mean[1].as_f64());
@@ -246,6 +250,7 @@ impl<T: Real> Splat<T> {
     #[inline(always)]
     pub fn reaches(&self, first: [usize; 2], size: [usize; 2]) -> bool {
         let (_, smallest) = self.nearest(first, size);
+        // slack for the rounding of both sides: a tile too many costs little, a tile too few shows
         let outside = smallest > self.squared_radius * T::of(1.0 + 1e-4) + T::of(1e-4);
         // NaN counts as touching
         !outside
@@ -293,6 +298,7 @@ impl<T: Real> Splat<T> {
     #[inline(always)]
     pub fn weight(&self, u: T, v: T) -> T {
         let weight = self.strength * (T::of(-0.5) * (u * u + v * v)).exp_nonpositive();
+        // >= as in `strength >= CUTOFF` above: an opacity of exactly 1/255 shows at its centre
         if weight >= T::of(CUTOFF) { weight } else { T::zero() }
     }
 }
@@ -397,6 +403,7 @@ pub fn backward<T: Real>(
     let grad_mean = splat.mean_gradient(sum);
     let mut shape = exponent_backward(&projection, splat, sum);
     if projection.compensates() {
+        // ½ / ratio, because the strength has its root as a factor
         let of_ratio = ratio_backward(&projection, T::of(0.5) * total / projection.ratio);
         shape = ShapeGrad {
             log_scales: add(shape.log_scales, of_ratio.log_scales),
@@ -408,6 +415,7 @@ pub fn backward<T: Real>(
         None => pinhole_backward(camera, &projection, grad_mean, &shape),
         Some(lens) => lens_backward(lens, camera, &projection, grad_mean, &shape),
     };
+    // the gradient of the exponent is that of the strength times it; a Gaussian that is drawn has at least 1/255
     let grad_strength = total / splat.strength;
     ParameterGrad {
         position: apply_transposed(&camera.rotation, grad_centre),

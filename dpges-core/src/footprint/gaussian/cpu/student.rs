@@ -44,6 +44,7 @@ impl<T: Real> Student<T> {
         let mut ellipse = Splat::new(camera, &magnitude, colour, ScreenFilter::Off).filter(|_| degrees >= T::one())?;
         // ν ((255 |o|)^(2 / (ν + 2)) − 1)
         let fall = (ellipse.strength / T::of(CUTOFF)).ln();
+        // `exp_m1`: with large ν the exponential is 1 but for its last digits, and ν would magnify their rounding
         ellipse.squared_radius = degrees * (two / (degrees + two) * fall).exp_m1();
         let [p, q, r] = ellipse.root;
         let [variance_x, variance_y] = ellipse.variances;

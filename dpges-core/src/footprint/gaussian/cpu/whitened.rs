@@ -74,6 +74,7 @@ impl<N: Arithmetic> RayGrad<N> {
 /// Scaled axes in camera axes, by rows, over the largest scale; the relative scales; and the logarithm of the largest.
 fn rows<T: Real>(camera: &CameraOf<T>, p: &Parameters<T>) -> (M3<T>, V3<T>, T) {
     let largest = p.log_scales[0].max(p.log_scales[1]).max(p.log_scales[2]);
+    // relative before the exponential: none overflows, and 1 is among them, so that rows do not vanish together
     let relative = p.log_scales.map(|scale| (scale - largest).exp());
     let rows = camera.axes(&rotation(p.quaternion)).map(|row| times(row, relative));
     (rows, relative, largest)
@@ -160,6 +161,7 @@ impl<T: Real> Whitened<T> {
         let [.., z] = self.rows(dx.simd());
         let along = dot(z, cross(ray.direction, ray.moment)) * ray.inverse;
         let depth = all(self.depth) * (all(T::one()) - along);
+        // where nothing is drawn the ray may be parallel to the plane, and its depth anything
         (drawn, [weight, Lanes::select(drawn, depth, all(self.depth))])
     }
 

@@ -82,6 +82,7 @@ fn ratio_backward(p: Projection, grad_ratio: f32) -> ShapeGradient {
 }
 
 /// a + b, or a.
+// selected, since 0 times what is infinite is not 0
 #[cube]
 fn add_if(condition: bool, a: Vec3, b: Vec3) -> Vec3 {
     vec3(
@@ -96,6 +97,7 @@ fn shape_backward(p: Projection, root: Vec3, moments: Moments, #[comptime] filte
     let shape = exponent_backward(p, root, moments);
     if comptime!(filter == ScreenFilter::Compensated) {
         let compensates = p.ratio > MIN_RATIO;
+        // computed where it is not taken, too, so that the divisor must not be 0
         let of_ratio = ratio_backward(p, 0.5f32 * moments.total / max(p.ratio, MIN_RATIO));
         ShapeGradient {
             log_scales: add_if(compensates, shape.log_scales, of_ratio.log_scales),
@@ -161,6 +163,7 @@ pub fn splat_backward(
     let shape = shape_backward(p, root, moments, filter);
     let dimming = compensation(p, filter);
     let strength = max(raw_opacity, 0.0f32) * dimming;
+    // only what is not drawn has less, and its sums are 0
     let grad_strength = total / max(strength, 1e-30f32);
     let grad_centre = centre_backward(view, p, grad_x, grad_y, shape);
     SplatGradient {

@@ -58,6 +58,7 @@ impl Splat {
 
     /// Value of u² + v² beyond which the weight is below the cutoff, whatever the rounding.
     fn beyond(&self) -> f32 {
+        // wider than on the CPU: WGSL lets `exp` be off by 3 + 2 |x| units in the last place, and `log` by more near 1
         self.squared_radius * 1.001f32 + 0.01f32
     }
 
@@ -65,6 +66,7 @@ impl Splat {
     pub fn weight(&self, u: f32, v: f32) -> f32 {
         let squared = u * u + v * v;
         let mut weight = 0.0f32;
+        // most pixels of a rectangle are outside: they do without the exponential
         if squared <= self.beyond() {
             let value = self.strength * f32::exp(-0.5f32 * squared);
             weight = select(value >= CUTOFF_F32, value, 0.0f32);

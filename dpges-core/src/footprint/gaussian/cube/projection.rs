@@ -64,6 +64,7 @@ pub struct Projection {
 
 #[cube]
 fn pinhole_local(view: CameraUniforms, centre: Vec3) -> Local {
+    // what is behind the near plane is not drawn; a depth of 1 keeps its numbers finite
     let z = select(centre.z > view.near, centre.z, 1.0f32);
     let (width, height) = (f32::cast_from(view.width), f32::cast_from(view.height));
     let (margin_x, margin_y) = (JACOBIAN_MARGIN * width / view.fx, JACOBIAN_MARGIN * height / view.fy);
@@ -124,6 +125,7 @@ pub fn project(
     let rotation = rotation(quaternion);
     let scales = vec3(f32::exp(log_scales.x), f32::exp(log_scales.y), f32::exp(log_scales.z));
     let largest = max(max(scales.x, scales.y), scales.z);
+    // scales may vanish in f32, and 0 / 0 is no scale
     let least = max(largest, LEAST_SCALE);
     let relative = vec3(scales.x / least, scales.y / least, scales.z / least);
     let world = transpose(rotation);
@@ -218,9 +220,11 @@ fn is_shown(view: CameraUniforms, p: Projection) -> bool {
 pub fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] filter: ScreenFilter) -> (Splat, Rect) {
     let strength = max(opacity, 0.0f32) * compensation(p, filter);
     let d = p.determinant;
+    // 3e38 in place of infinity, which WGSL does not have as a constant
     let visible = is_shown(view, p) && strength >= CUTOFF_F32 && d > 0.0f32 && p.size < 3e38f32;
     let z = select(visible, p.centre.z, 1.0f32);
     let root = root(
+        // the root of what is not drawn is that of a circle of 1 px, so that no kernel divides by 0
         select(visible, p.cov_b, 0.0f32),
         select(visible, p.cov_c, 1.0f32),
         select(visible, p.size, 1.0f32),
@@ -231,6 +235,7 @@ pub fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] f
     let (x, y) = mean(view, p, z);
     let reach = squared * 1.001f32 + 0.01f32;
     let (half_x, half_y) = (f32::sqrt(reach * p.cov_a), f32::sqrt(reach * p.cov_c));
+    // near 8192 px an f32 has steps of 0.001 px
     let slack = 0.01f32;
     let (x0, x1) = (x - half_x - slack, x + half_x + slack);
     let (y0, y1) = (y - half_y - slack, y + half_y + slack);

@@ -52,6 +52,7 @@ fn reach_of(degrees: f32) -> f32 {
         let next = comptime!(STUDENT_REACH[at + 1] as f32);
         let whole = comptime!((at + 1) as f32);
         let within = degrees >= whole && degrees < whole + 1.0f32;
+        // unrolled: the table is no buffer, and its numbers are constants of the kernel
         reach = select(within, (own - next) * (degrees - whole) + next, reach);
     }
     reach

@@ -85,6 +85,7 @@ impl Whitened {
     pub fn fragment(&self, view: CameraUniforms, x: f32, y: f32) -> (f32, f32) {
         let ray = self.ray(view, x, y);
         let squared = self.distance * self.distance * dot(ray.moment, ray.moment) * ray.inverse;
+        // bounded, since devices may assume that no number is infinite; e⁻¹⁰⁰ is far below the cutoff
         let alpha = self.strength * f32::exp(max(-0.5f32 * squared, -100.0f32));
         let along = dot(self.z, cross(ray.direction, ray.moment)) * ray.inverse;
         let exists = alpha >= CUTOFF_F32;
@@ -182,6 +183,7 @@ fn whitened_of(view: CameraUniforms, axes: Mat3, log_scales: Vec3, centre: Vec3,
     let rows = rows(axes, relative(log_scales));
     let size = f32::exp(largest(log_scales));
     let squared_radius = 2.0f32 * f32::ln(max(strength * INVERSE_CUTOFF, 1.0f32)) * 1.001f32 + 1e-4f32;
+    // not the wider radius of the box: whether a Gaussian is drawn at all should be as on the CPU
     let exact_radius = 2.0f32 * f32::ln(max(strength * INVERSE_CUTOFF, 1.0f32)) * 1.000_01f32;
     let z = rows.row2;
     let reach = size * f32::sqrt(exact_radius * dot(z, z));
@@ -292,6 +294,7 @@ fn backward_kernel(
         position: keep(drawn, apply(back, towards)),
         quaternion: rotation_backward(quaternion, transpose(columns)),
         log_scales: keep(drawn, of_scales),
+        // both values of `select` are computed
         opacity: select(drawn, power / max(whitened.strength, 1e-30f32), 0.0f32),
     };
     store_gradient(gradient, first, second, i, of_place);

@@ -100,6 +100,7 @@ fn turned([sin, cos]: [f64; 2], angle: f64, azimuth: f64, outwards: Range, aroun
     let widest = around_axis[0].abs().max(around_axis[1].abs());
     // component away from the optical axis, and along it
     let at = |slope: f64| (sin + slope * cos, cos - slope * sin);
+    // over a side across the plane the angle is extreme in the middle and at the wider end
     let angles = outwards.map(|slope| {
         let (away, along) = at(slope);
         [away.abs().atan2(along), away.hypot(widest).atan2(along)]

@@ -68,6 +68,7 @@ impl<T: Real> Plane<T> {
     #[inline(always)]
     fn at<S: Simd>(&self, simd: S, linear: impl Fn([T; 3]) -> Lanes<T, S>) -> [Lanes<T, S>; 4] {
         let facing = linear(self.facing);
+        // no test for 0: edge-on a hit is infinite or NaN, and callers drop it by its facing
         let inverse = Lanes::splat(simd, T::one()) / facing;
         let depth = Lanes::splat(simd, self.distance) * inverse;
         [linear(self.u) * inverse, linear(self.v) * inverse, depth, facing]
@@ -268,6 +269,7 @@ pub fn slope_range([cx, cz]: [f64; 2], [ax, az]: [f64; 2], [bx, bz]: [f64; 2], n
     let half_linear = cx * cz - (ax * az + bx * bz);
     // as a sum of minors: no cancellation for a small disc
     let (m_ca, m_cb, m_ab) = (cx * az - cz * ax, cx * bz - cz * bx, ax * bz - az * bx);
+    // below 0 by rounding, or where the eye lies within the ellipse, which has no tangents then
     let root = (m_ca * m_ca + m_cb * m_cb - m_ab * m_ab).max(0.0).sqrt();
     let tangents = [(half_linear - root) / quadratic, (half_linear + root) / quadratic];
     if cz - reach > near {
@@ -278,6 +280,7 @@ pub fn slope_range([cx, cz]: [f64; 2], [ax, az]: [f64; 2], [bx, bz]: [f64; 2], n
     for slope in tangents {
         let value = cx - slope * cz;
         let (cosine, sine) = (-(ax - slope * az) / value, -(bx - slope * bz) / value);
+        // NaN, of a tangent at infinity, fails the comparison, and the chord bounds the disc instead
         if cz + az * cosine + bz * sine > near {
             include(slope);
         }

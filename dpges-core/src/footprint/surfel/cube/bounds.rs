@@ -21,6 +21,7 @@ fn clipped(x: f32, z: f32, next_x: f32, next_z: f32, near: f32) -> (f32, f32) {
     let first = select(front, own, crossing);
     let second = select(crosses, crossing, first);
     let some = front || crosses;
+    // a side behind the near plane changes no minimum and no maximum
     (select(some, min(first, second), 1e30f32), select(some, max(first, second), -1e30f32))
 }
 
@@ -56,6 +57,7 @@ fn pinhole_reach(view: CameraUniforms, disc: Disc, radius: f32) -> Rect {
     let b = scale(disc.tangent_v, radius * disc.scale_v);
     let reach = f32::sqrt(a.z * a.z + b.z * b.z);
     let mut rect = Rect { x0: 0u32, x1: 0u32, y0: 0u32, y1: 0u32 };
+    // rounding must not take away a disc that just reaches across the near plane
     if c.z + reach * 1.000_01f32 > view.near && radius >= 0.0f32 {
         // near the near plane, rounding errors make the tangents useless
         let in_front = c.z - reach > view.near && c.z - reach > 0.01f32 * c.z;

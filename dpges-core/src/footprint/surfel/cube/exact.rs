@@ -50,6 +50,7 @@ fn pairs(high: Vec3, low: Vec3) -> Pairs3 {
 
 #[cube]
 fn away(position: f32, centre: f32, rest: f32, zero: u32) -> Pair {
+    // the position minus the camera's centre, not R p + t, whose large terms cancel far from the origin
     let offset = two_sum(position, -centre, zero);
     two_sum(offset.high, offset.low - rest, zero)
 }
@@ -68,6 +69,7 @@ fn turned(view: CameraUniforms, rests: Rests, v: Pairs3) -> Pairs3 {
 #[cube]
 pub fn exact_disc(view: CameraUniforms, rests: Rests, position: Vec3, quaternion: Quaternion) -> ExactDisc {
     let zero = view.zero;
+    // a power of two is exact; a quaternion of unit length would be rounded, and axes with it
     let q = near_unit(quaternion);
     let offset = Pairs3 {
         x: away(position.x, view.centre.x, rests.centre.x, zero),
@@ -94,6 +96,7 @@ pub fn exact_disc(view: CameraUniforms, rests: Rests, position: Vec3, quaternion
         tangent_u: turned(view, rests, tangent_u),
         tangent_v: turned(view, rests, tangent_v),
         normal: turned(view, rests, normal),
+        // axes stay as long as they are, without roots in pairs: functions that are linear in one are divided by this
         stretch: q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z,
     }
 }

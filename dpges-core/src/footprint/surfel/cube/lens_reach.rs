@@ -87,6 +87,7 @@ fn cosines(azimuth: Range, quarter: f32) -> Range {
     let top = f32::ceil((low - SLACK) / (2.0f32 * PI)) * (2.0f32 * PI);
     let bottom = f32::ceil((low - PI - SLACK) / (2.0f32 * PI)) * (2.0f32 * PI) + PI;
     Range {
+        // next to an extreme a slack of the angle changes the cosine by half its square
         low: select(bottom <= high + SLACK, -1.0f32, min(cos_low, cos_high) - SLACK * SLACK),
         high: select(top <= high + SLACK, 1.0f32, max(cos_low, cos_high) + SLACK * SLACK),
     }
@@ -114,6 +115,7 @@ pub fn lens_reach(view: CameraUniforms, disc: Disc, radius: f32) -> Rect {
     let (x, y) = (plus(bent_x, aside_x), plus(bent_y, aside_y));
     let (x0, x1) = widened(x.low * view.fx + view.cx, x.high * view.fx + view.cx);
     let (y0, y1) = widened(y.low * view.fy + view.cy, y.high * view.fy + view.cy);
+    // further than any picture, and finite: WGSL has no constant infinity
     let (x0, x1) = (select(cone.ahead, x0, -1e9f32), select(cone.ahead, x1, 1e9f32));
     let (y0, y1) = (select(cone.ahead, y0, -1e9f32), select(cone.ahead, y1, 1e9f32));
     pixels_within(view, seen && radius >= 0.0f32, x0, x1, y0, y1)

@@ -110,8 +110,10 @@ pub struct Hit {
 /// The hit at a pixel with these values of the linear functions.
 #[cube]
 fn meeting(u: f32, v: f32, facing: f32, distance: f32) -> Hit {
+    // a hit far away in place of a division by 0; kernels drop it by `MIN_FACING`
     let inverse = 1.0f32 / select(facing == 0.0f32, 1e-30f32, facing);
     let (u, v) = (u * inverse, v * inverse);
+    // bounded, since devices may assume that no number is infinite
     Hit { u, v, depth: distance * inverse, facing, kernel: f32::exp(max(-0.5f32 * (u * u + v * v), -100.0f32)) }
 }
 
@@ -236,6 +238,7 @@ struct DiscGradient {
 /// c × Σ gradient · ray. The term of the anchor is 0 if the anchor is the projected centre.
 #[cube]
 fn centre_cross(disc: Disc, g: Vec3) -> Vec3 {
+    // the product of a centre with its own ray is 0, and in f32 would be rounding alone
     let anchored = scale(disc.anchor_ray, g.x * (1.0f32 - disc.centred));
     cross(disc.centre, add(anchored, vec3(g.y, g.z, 0.0f32)))
 }
@@ -322,6 +325,7 @@ fn disc_backward_kernel(
     grad_log_scales[scales * i] = sums.log_scale_u;
     grad_log_scales[scales * i + 1] = sums.log_scale_v;
     if comptime!(scales > 2) {
+        // a new buffer has any contents
         grad_log_scales[scales * i + 2] = 0.0f32;
     }
 }
