@@ -25,6 +25,7 @@ pub fn add_moments<T: Real, S: Simd>(sums: &mut [Lanes<T, S>], g: Lanes<T, S>, u
     let [sum, sum_u, sum_v, sum_uu, sum_uv, sum_vv] = sums else {
         unreachable!("six sums");
     };
+    // two products serve five sums
     let (gu, gv) = (g * u, g * v);
     (*sum, *sum_u, *sum_v) = (*sum + g, *sum_u + gu, *sum_v + gv);
     (*sum_uu, *sum_uv, *sum_vv) = (gu.mul_add(u, *sum_uu), gu.mul_add(v, *sum_uv), gv.mul_add(v, *sum_vv));

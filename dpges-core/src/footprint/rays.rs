@@ -36,6 +36,7 @@ pub fn rays(camera: &Camera) -> Option<Rays> {
         let (x, y) = ((at % width) as f64 + 0.5, (at / width) as f64 + 0.5);
         camera.ray(x, y).map_or([0.0; 3], |ray| ray.to_array())
     };
+    // without the lock: two threads may compute one table, and neither waits for the other
     let rays: Rays = Arc::new((0..width * height).into_par_iter().map(ray).collect());
     let mut tables = tables();
     tables.insert(0, (key, rays.clone()));

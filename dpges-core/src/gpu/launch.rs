@@ -104,6 +104,7 @@ pub fn zeros_u32(like: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
 /// # Panics
 /// If the element type is not f32: only CPU backends compute in f64.
 pub fn floats(tensor: CubeTensor) -> CubeTensor {
+    // WGSL has no f64
     assert_eq!(tensor.dtype, DType::F32, "GPU kernels take f32 tensors");
     into_contiguous(tensor)
 }

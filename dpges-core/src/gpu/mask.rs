@@ -6,6 +6,7 @@ use cubecl::prelude::*;
 #[cube]
 pub fn counts(ignored: &[f32], pixel: usize, #[comptime] masked: bool) -> bool {
     let mut counts = true;
+    // compiled for one of both: without a mask the buffer holds nothing
     if comptime!(masked) {
         counts = ignored[pixel] <= 0.5f32;
     }

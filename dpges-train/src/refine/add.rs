@@ -36,6 +36,7 @@ pub fn geometric_batch_size(budget: usize, primitives: usize, batches_left: usiz
 /// Gaussians to their opacity. Weights that are negative or not finite count as 0; if nothing is left, nothing is drawn.
 pub fn draw_in_proportion(weights: &[f32], count: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     let usable = |weight: &f32| if weight.is_finite() && *weight > 0.0 { f64::from(*weight) } else { 0.0 };
+    // in f64: a sum of millions of f32 would lose small weights
     let cumulative: Vec<f64> = weights
         .iter()
         .scan(0.0, |sum, weight| {
@@ -48,7 +49,9 @@ pub fn draw_in_proportion(weights: &[f32], count: usize, rng: &mut ChaCha8Rng) -
         return Vec::new();
     }
     let draw = |_| {
+        // the product may round up to the total, which lies behind the last entry
         let at = (rng.random::<f64>() * total).min(total.next_down());
+        // <= passes over entries of weight 0, which repeat the sum before them
         cumulative.partition_point(|&sum| sum <= at)
     };
     (0..count).map(draw).collect()
@@ -64,6 +67,7 @@ pub fn new_gaussians(positions: &[[f32; 3]], alone: f32, model: ColourModel, rng
     new.quaternions = (0..count).flat_map(|_| random_rotation(rng)).collect();
     new.log_scales = spacing(positions).into_iter().flat_map(|spacing| [scale(spacing).ln(); 3]).collect();
     new.opacities.fill(OPACITY);
+    // black: the base colour is 0.5 + C0 k
     new.colour.base.fill((-0.5 / SH_C0) as f32);
     new.colour.detail = faint_detail(model, count, rng);
     new
@@ -88,6 +92,7 @@ pub fn faint_detail(model: ColourModel, count: usize, rng: &mut ChaCha8Rng) -> V
 /// A unit quaternion (w, x, y, z), uniform over the rotations.
 fn random_rotation(rng: &mut ChaCha8Rng) -> [f32; 4] {
     loop {
+        // normal numbers have no preferred direction in four dimensions
         let draw = [0; 4].map(|_| normal(rng));
         let length = draw.iter().map(|x| x * x).sum::<f64>().sqrt();
         if length > 1e-6 {

@@ -33,6 +33,7 @@ pub fn draw_positions(
     rng: &mut ChaCha8Rng,
 ) {
     for (position, &row) in copies.positions.as_chunks_mut::<3>().0.iter_mut().zip(rows) {
+        // a disc has no extent along its normal, whatever its third scale
         let draw = DVec3::new(normal(rng), normal(rng), if flat { 0.0 } else { normal(rng) });
         let inside = rotation(gaussians, row) * (vector(&gaussians.log_scales, row).exp() * draw);
         *position = (vector(&gaussians.positions, row) + inside).as_vec3().to_array();

@@ -75,6 +75,7 @@ impl DensifyRule {
             }
             ByAbsolute::Splits(threshold) => threshold,
         };
+        // rows that no view saw have 0, which would pass a threshold of 0
         let is_busy = |row: &usize| absolute[*row] > 0.0 && absolute[*row] >= absolute_threshold;
         let is_chosen = |row: &usize| match self.by_absolute {
             ByAbsolute::Splits(_) if is_small(row) => is_steep(row),
@@ -85,6 +86,7 @@ impl DensifyRule {
         let mut rows: Vec<usize> = (0..gradients.len()).filter(is_chosen).collect();
         rows.sort_by(|a, b| gradients[*b].total_cmp(&gradients[*a]));
         rows.truncate(room);
+        // random numbers are drawn in the order of the rows
         rows.sort_unstable();
         rows
     }
@@ -133,11 +135,13 @@ pub fn densify(
     parents.iter().for_each(|&row| is_parent[row] = true);
     let keep: Vec<usize> = (0..count).filter(|&row| !is_parent[row] && stays(row, max_scale)).collect();
 
+    // a clone would bring back what is pruned
     cloned.retain(|&row| stays(row, max_scale));
     let mut added = gaussians.select(&cloned);
     if rule.draws_clones {
         draw_positions(&mut added, gaussians, &cloned, rule.flat, rng);
     }
+    // children are smaller by as much as the limit is larger
     let fruitful = parents.into_iter().filter(|&row| stays(row, max_scale * SHRINKAGE));
     added.append(children(gaussians, fruitful, rule.flat, rng));
 

@@ -44,6 +44,7 @@ pub fn renew(
 ) -> Renewal {
     let mut rows = drawn(&gaussians.opacities);
     if rows.len() > target {
+        // ties by row, so that every rank finds the same ones
         rows.sort_by(|&a, &b| errors[b].total_cmp(&errors[a]).then(a.cmp(&b)));
         rows.truncate(target);
         rows.sort_unstable();
@@ -52,6 +53,7 @@ pub fn renew(
     let known = rows.iter().any(|&row| errors[row] > 0.0);
     let mut weights: Vec<f32> = match known {
         true => rows.iter().map(|&row| errors[row]).collect(),
+        // before an opaque surfel, which weighs 1, this is the share of the pixel that a Gaussian has
         false => kept.iter().map(|opacity| opacity / (1.0 + opacity)).collect(),
     };
     let (positions, _) = gaussians.positions.as_chunks::<3>();
@@ -68,6 +70,7 @@ pub fn renew(
             .filter(|(at, _)| members[*at] >= most_members(kept[*at]))
             .for_each(|(_, w)| *w = 0.0);
         for at in draw_in_proportion(&weights, missing - sources.len(), rng) {
+            // one draw may take a source several times, beyond what it can share
             if members[at] < most_members(kept[at]) {
                 members[at] += 1;
                 sources.push(at);
@@ -77,6 +80,7 @@ pub fn renew(
     let opacities: Vec<f32> = kept.iter().zip(&members).map(|(opacity, &members)| opacity / members as f32).collect();
     let mut copies = gaussians.select(&sources.iter().map(|&at| rows[at]).collect::<Vec<_>>());
     copies.opacities = sources.iter().map(|&at| opacities[at]).collect();
+    // copies in one place would have the same gradients for ever
     if shift {
         shift_within(&mut copies, rng);
     }

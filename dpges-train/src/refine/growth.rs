@@ -38,6 +38,7 @@ impl Growth {
     /// Decides about the first of `batches_left` batches, the last of which reaches the `budget`. Before it, the views that judge
     /// have a mean PSNR of `psnr` dB and the scene has so many `primitives`. Returns a sentence about it.
     pub fn judge(&mut self, psnr: f64, primitives: usize, budget: usize, batches_left: usize) -> String {
+        // early stopping: a batch that is no better counts against patience, and one that is starts it anew
         let known = self.best_psnr.filter(|best| psnr <= *best);
         let verdict = match known {
             Some(best) => {
@@ -50,6 +51,7 @@ impl Growth {
                 "the best so far".to_owned()
             }
         };
+        // what has faded since is wanted still
         self.wanted = self.wanted.max(primitives);
         if !self.has_ended {
             self.wanted += geometric_batch_size(budget, self.wanted, batches_left);

@@ -93,6 +93,7 @@ pub fn keep_lobes(
     let of_primitive = |(row, position): (usize, &[f32; 3])| {
         let directions: Vec<[f64; 3]> = camera_centres.iter().map(|centre| direction(position, centre)).collect();
         let raw = &all[row * lobes..(row + 1) * lobes];
+        // absent lobes come behind those that do not change at all
         let change = |raw: &[f32; LOBE_LEN]| if is_absent(raw) { -1.0 } else { Lit::new(raw).change(&directions) };
         let changes: Vec<f64> = raw.iter().map(change).collect();
         let mut order: Vec<usize> = (0..lobes).collect();
@@ -162,6 +163,7 @@ impl Lit {
     /// The least and the largest share over `directions`.
     fn extremes(&self, directions: &[[f64; 3]]) -> (f64, f64) {
         let cosines = directions.iter().map(|d| self.cosine(d));
+        // the share rises with the cosine: two powers in place of one for every camera
         let (least, most) = cosines.fold((1.0, 0.0), |(least, most): (f64, f64), c| (least.min(c), most.max(c)));
         (self.share(least), self.share(most))
     }

@@ -111,6 +111,7 @@ pub fn relocate_and_add(
     let weights: Vec<f32> = gaussians.opacities.iter().map(living).collect();
     let sources = draw_in_proportion(&weights, dead.len(), rng);
     result.relocated = sources.len();
+    // before rows are overwritten, so that copies take what their sources have left
     result.share(&sources, kind, gaussians);
     dead.iter().zip(&sources).for_each(|(&row, &source)| result.overwrite(row, source));
 

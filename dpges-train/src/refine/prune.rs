@@ -32,6 +32,7 @@ pub fn gaussians_to_keep(max_contribution: &[f32], threshold: f64) -> Vec<usize>
 /// The Gaussians that can draw a pixel. α is at most the opacity, and below 1/255 neither colour nor gradient is left.
 /// Adam can push linear opacities below 0. The Gaussians that are kept render the same picture.
 pub fn drawn(opacities: &[f32]) -> Vec<usize> {
+    // rounded like the constant of the kernels, so that what stays is what they draw
     (0..opacities.len()).filter(|&row| opacities[row] >= CUTOFF as f32).collect()
 }
 

@@ -26,6 +26,7 @@ pub fn finest_pixels(positions: &[f32], cameras: &[&Camera], coarsest: impl FnOn
 fn pixel(camera: &Camera, world: DVec3) -> Option<f64> {
     let (x, y, depth) = camera.project(world)?;
     let inside = |at: f64, size: usize| (-MARGIN * size as f64..=(1.0 + MARGIN) * size as f64).contains(&at);
+    // the larger focal length gives the finer side of a pixel
     (inside(x, camera.width) && inside(y, camera.height)).then(|| depth / camera.fx.max(camera.fy))
 }
 

@@ -20,7 +20,9 @@ const SERIES_FROM: f64 = 40.0;
 /// [a rule of their own](share_out_students).
 pub fn share_out(opacity: f64, copies: usize, kind: Relocation) -> (f64, f64) {
     let copies = copies.clamp(1, MAX_COPIES) as f64;
+    // the logarithm of 1 − 1 is infinite
     let opacity = opacity.min(MAX_OPACITY);
+    // 1 − (1 − o)^(1/n), which would cancel for a small o
     let shared = -((-opacity).ln_1p() / copies).exp_m1();
     let scale_factor = match kind {
         Relocation::Mcmc => opacity / mass(shared, copies, |k| 1.0 / k.sqrt()),

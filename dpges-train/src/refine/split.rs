@@ -51,6 +51,7 @@ fn parents(gaussians: &GaussianData, surfel_positions: &[f32], margins: &[f32], 
         .map(|row| (row, excess(row)))
         .filter(|(_, excess)| *excess > 1.0)
         .collect();
+    // ties by row, so that every rank splits the same ones
     exceeding.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
     exceeding.into_iter().map(|(row, _)| row).collect()
 }

@@ -142,6 +142,7 @@ impl<'a, T: Real> GaussianRows<'a, T> {
             quaternion: row(&self.quaternions, i),
             log_scales: row(&self.log_scales, i),
             opacity: self.opacities[i],
+            // a Gaussian is the limit of Student's t kernels
             degrees_of_freedom: self.degrees_of_freedom.get(i).copied().unwrap_or(T::INFINITY),
         }
     }

@@ -15,6 +15,7 @@ const CHUNK: usize = 1 << 14;
 fn step_in_place<T: Real>(parameter: &mut [T], moment_1: &mut [T], moment_2: &mut [T], grad: &[T], step: &AdamStep) {
     let [rate, correction] = step.corrected().map(T::of);
     let (beta_1, beta_2, epsilon) = (T::of(step.beta_1), T::of(step.beta_2), T::of(step.epsilon));
+    // subtracted in f64: from 0.999 as an f32, 1 − β would be off by 3e-5 of itself
     let (new_1, new_2) = (T::of(1.0 - step.beta_1), T::of(1.0 - step.beta_2));
     parameter
         .par_chunks_mut(CHUNK)
@@ -46,6 +47,7 @@ impl<B: Host> AdamOps for B {
     ) -> AdamOutput<B> {
         let (shape, device) = (parameter.shape(), parameter.device());
         with_real!(parameter.dtype(), T => {
+            // closed in a step with values that are not finite, which the moments would keep for good
             if host::floats::<B, T>(&gate)[0] != T::of(1.0) {
                 return AdamOutput { parameter, moment_1, moment_2 };
             }

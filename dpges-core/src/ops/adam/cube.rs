@@ -38,6 +38,7 @@ fn adam_kernel(
     if i >= rates.count as usize {
         terminate!();
     }
+    // read on the device, so that no step waits for the host to learn whether it may be taken
     if gate[0] == 1.0f32 {
         let g = grad[i];
         let m = rates.beta_1 * moment_1[i] + rates.new_1 * g;
@@ -67,6 +68,7 @@ impl AdamOps for CubeBackend {
         if count == 0 {
             return AdamOutput { parameter, moment_1, moment_2 };
         }
+        // a write into a shared buffer would change the tensors of others
         let [parameter, moment_1, moment_2] = [parameter, moment_1, moment_2].map(owned);
         let (grad, gate) = (floats(grad), floats(gate));
         let [rate, correction] = step.corrected().map(|number| number as f32);
@@ -75,6 +77,7 @@ impl AdamOps for CubeBackend {
             correction,
             step.beta_1 as f32,
             step.beta_2 as f32,
+            // subtracted in f64: from 0.999 as an f32, 1 − β would be off by 3e-5 of itself
             (1.0 - step.beta_1) as f32,
             (1.0 - step.beta_2) as f32,
             step.epsilon as f32,

@@ -73,6 +73,7 @@ impl<T: Real, F: Projected<T>> TileSums<'_, T, F> {
             let found = Lanes::load(simd, median);
             let zero = Lanes::zero(simd);
             let half = Lanes::splat(simd, T::of(0.5));
+            // 0 is no depth of a fragment, since all are beyond the near plane: it stands for none so far
             let first = zero.below(covered) & half.at_least(through) & zero.at_least(found);
             Lanes::select(first, depth, found).store(median);
         }
@@ -112,6 +113,7 @@ impl<T: Real, F: Projected<T>> WithSimd for BlendTile<'_, T, F> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
+        // compiled twice: pictures without maps do not pay for them
         if self.maps {
             self.blend::<S, true>(simd);
         } else {
@@ -164,6 +166,7 @@ fn forward<T: Real, F: Projected<T>>(
         vectorised(BlendTile { tile, maps: options.maps, block });
     });
     let mut planes = to_planes(&blocks, count, sorted.grid);
+    // the way back takes the same footprints and lists, in place of projecting and sorting again
     kept.put(sorted);
     let median_depth = planes.split_off(options.planes() * camera.width * camera.height);
     [planes, median_depth]
@@ -185,6 +188,7 @@ impl<B: Host> BlendOps for B {
             BlendOutput {
                 planes: host::float_tensor::<B, T, 3>(planes, [options.planes(), height, width], &device),
                 median_depth: host::float_tensor::<B, T, 3>(median_depth, [medians, height, width], &device),
+                // the lists of a CPU are in `kept`: these tensors are for GPUs
                 lists: BlendLists::from_array(std::array::from_fn(|_| host::int_tensor::<B, 1>(Vec::new(), [0], &device))),
             }
         })
@@ -225,11 +229,13 @@ impl<B: Host> OutweighingOps for B {
             let view = CameraPair::<T>::new(&camera, options.filter);
             let sorted = Sorted::<T, WhitenedFootprint<T>>::new(&rows, &view, &options);
             let (thresholds, least) = (Thresholds::new(&options), T::of(least));
+            // one pixel at a time: this runs twice in a training
             let simd = Scalar::new();
             let marks: Vec<AtomicI32> = (0..count).map(|_| AtomicI32::new(0)).collect();
             (0..sorted.grid.len()).into_par_iter().for_each(|tile| {
                 let mark = |id: usize, weight: T| {
                     if weight >= least {
+                        // all write the same 1, so that the order of threads does not show
                         marks[sorted.rows[id]].store(1, Ordering::Relaxed);
                     }
                 };

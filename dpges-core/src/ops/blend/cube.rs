@@ -84,6 +84,7 @@ fn add_fragment(
     thresholds: Thresholds,
     #[comptime] maps: bool,
 ) -> bool {
+    // on both sides: negative α takes colour away (SSS); below 1 in size, since the way back divides by 1 − α
     let alpha = max(min(found.weight, thresholds.max_alpha), -thresholds.max_alpha);
     let behind = state[THROUGH] * (1.0f32 - alpha);
     let goes_on = behind >= thresholds.min_transmittance;
@@ -98,9 +99,11 @@ fn add_fragment(
             state[NORMAL] += covered * payload.normal.x;
             state[NORMAL + 1] += covered * payload.normal.y;
             state[NORMAL + 2] += covered * payload.normal.z;
+            // 0 is no depth of a fragment, since all are beyond the near plane: it stands for none so far
             state[MEDIAN] = select(behind <= 0.5f32 && state[MEDIAN] == 0.0f32, found.depth, state[MEDIAN]);
             let inverse = 1.0f32 / found.depth;
             state[REFERENCE] = select(state[REFERENCE] == 0.0f32, inverse, state[REFERENCE]);
+            // counted from the first fragment: where z ≫ near, f32 loses differences of m itself
             let mapped = thresholds.slope * (state[REFERENCE] - inverse);
             let spread = mapped * mapped * state[TOTAL] + state[SECOND_MOMENT] - 2.0f32 * mapped * state[FIRST_MOMENT];
             state[DISTORTION] += covered * spread;
@@ -135,6 +138,7 @@ fn blend_projected(
     let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
     let mut depths = Shared::<[f32]>::new_slice(REGIONS);
     if UNIT_POS < comptime!(REGIONS as u32) {
+        // a sorted pixel ends by its own T, at no depth that is known before
         depths[UNIT_POS as usize] = view.infinity;
     }
     let mut end = select(own.inside, list.length, 0u32);
@@ -148,6 +152,7 @@ fn blend_projected(
             let mut bits = visits[(UNIT_POS / LANES) as usize * WORDS + word];
             while bits != 0u32 && open {
                 let entry = word as u32 * 32u32 + bits.trailing_zeros();
+                // clears the lowest bit, so that entries come front to back
                 bits &= bits - 1u32;
                 let position = batch * UNITS + entry;
                 let splat = Splat::load(&*staged, entry as usize * SPLAT);
@@ -155,6 +160,7 @@ fn blend_projected(
                 if found.weight != 0.0f32 {
                     let i = list.entry(ids, position) as usize;
                     open = add_fragment(state, found, features, i, thresholds, maps);
+                    // forms on the screen end before the fragment; `blend_met` has one that ends behind it
                     end = select(open, end, position);
                 }
             }
@@ -214,6 +220,7 @@ fn blend_kernel(
     }
     let list = TileList::own(offsets, capacity, count);
     let tile = CUBE_POS as u32;
+    // compiled for one order each: a branch would hold the registers of all of them
     let transparency = comptime!(order.transparency().unwrap_or(Transparency::Sorted));
     if comptime!(transparency != Transparency::Sorted) {
         blend_pixel(planes, median_depth, shapes, features, list, ids, tile, view, thresholds, transparency, maps);
@@ -320,6 +327,7 @@ impl WayBack<CubeBackend, 7> for BlendState<CubeBackend> {
         let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
         let degrees_of_freedom = floats(input.degrees_of_freedom);
+        // footprints are made again, but not the order: depths are sorted once
         let (fragments, _) = Fragments::in_order(&gaussians, &degrees_of_freedom, &lists.order, &camera, &options);
         let [sums, rest] = gather(&fragments, &lists, &grad, &camera, &options, layout);
         parameters::backward(&gaussians, &sums, &rest, &camera, options.filter, layout).into_array().map(Some)

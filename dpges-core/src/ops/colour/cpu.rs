@@ -28,6 +28,7 @@ fn forward<T: Real>(base: &[T], detail: &[T], positions: &[T], centre: [f64; 3],
                 model::higher_harmonics(raw, before / kind.detail_unit(), d)
             }
         };
+        // details that exceed a buffer come in parts: only the first adds the base colour
         let constant = if before == 0 { model::base(row(base, i)) } else { row(base, i) };
         out.copy_from_slice(&add(constant, varying));
     });
@@ -49,6 +50,7 @@ fn backward<T: Real>(
     if width > 0 {
         grad_detail.par_chunks_mut(width).with_min_len(MIN_ROWS).enumerate().for_each(|(i, out)| {
             let incoming = row(grad, i);
+            // Gaussians out of view have no gradient: they do without sines, powers and logarithms
             if incoming == [T::zero(); 3] {
                 return;
             }

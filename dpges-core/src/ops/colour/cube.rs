@@ -65,16 +65,19 @@ fn lobe(detail: &[f32], o: usize, d: Vec3) -> Lobe {
     let (red, red_slope) = softplus(detail[o]);
     let (green, green_slope) = softplus(detail[o + 1]);
     let (blue, blue_slope) = softplus(detail[o + 2]);
+    // WGSL promises 2⁻¹¹ of its own sine, and that only up to π
     let (sin_theta, cos_theta) = sin_cos(detail[o + 3]);
     let (sin_phi, cos_phi) = sin_cos(detail[o + 4]);
     let across = d.x * cos_phi + d.y * sin_phi;
     let cosine = sin_theta * across + cos_theta * d.z;
     let exponent = 4.0f32 * f32::exp(min(detail[o + 5], LARGEST_BETA_F32));
+    // computed on the unlit side, too, where it must be a number
     let logarithm = f32::ln(max(cosine, 1e-30f32));
     let power = f32::exp(max(exponent * logarithm, -100.0f32));
     Lobe {
         rgb: vec3(red, green, blue),
         slope: vec3(red_slope, green_slope, blue_slope),
+        // exactly 0 where it is too dark to be seen, so that forward and backward agree about that
         lit: select(cosine > 0.0f32 && exponent * logarithm > -100.0f32, power, 0.0f32),
         exponent,
         cosine,
@@ -147,6 +150,7 @@ fn colour_kernel(
     let mut red = constant.x;
     let mut green = constant.y;
     let mut blue = constant.z;
+    // details that exceed a buffer come in parts: only the first adds the base colour
     if comptime!(shape.before == 0) {
         red = 0.5f32 + C0 * constant.x;
         green = 0.5f32 + C0 * constant.y;
@@ -197,6 +201,7 @@ fn colour_backward_kernel(
         let lobe = lobe(detail, o, d);
         let brightness = dot(incoming, lobe.rgb);
         let lit = lobe.lit > 0.0f32;
+        // a divisor, and the argument of a logarithm, on the unlit side, too
         let cosine = select(lit, lobe.cosine, 1.0f32);
         let powered = brightness * lobe.exponent * lobe.lit;
         grad_detail[o] = incoming.x * lobe.lit * lobe.slope.x;

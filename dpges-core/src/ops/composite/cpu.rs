@@ -34,6 +34,7 @@ struct Pixel<T> {
 impl<T: Real> Pixel<T> {
     #[inline(always)]
     fn image(&self) -> V3<T> {
+        // the surfels' picture weighs 1 against the weights of the Gaussians (GES)
         scale(add(self.surfel_colour, self.gaussian_colour), T::one() / (T::one() + self.gaussian_weight))
     }
 }
@@ -141,8 +142,10 @@ impl<T: Real> Outputs<'_, T> {
         let zero = [T::zero(); 3];
         let [of_image, of_surfel_image, of_colour, of_weight] = self.grads;
         let mut out = Incoming { surfel: zero, gaussian: zero, weight: T::zero() };
+        // outputs that no loss looks at have no gradient, and are left out
         if let Some(grad) = of_image {
             let blended = scale(rgb(grad), T::one() / (T::one() + self.gaussian_weight[at]));
+            // ∂C / ∂W = −C / (1 + W): the picture itself is in it, so that no sum is divided twice
             (out.surfel, out.gaussian, out.weight) = (blended, blended, -dot(blended, rgb(self.image)));
         }
         if let Some(grad) = of_surfel_image {
@@ -172,9 +175,11 @@ fn backward<T: Real>(inputs: &Inputs<T>, outputs: &Outputs<T>, reached: Reached)
         .zip(of_sums)
         .enumerate()
         .map(|(band, ((mut weights, mut through), mut sums))| {
+            // each band has sums of its own, added in the order of the bands: the same bits with any number of threads
             let mut colours = vec![T::zero(); colour_len];
             for (local, pixel) in bands.pixels(band, inputs.width).enumerate() {
                 let incoming = outputs.incoming(pixel);
+                // only the background is seen through the last layer
                 through[layers][local] = dot(incoming.surfel, inputs.background);
                 for k in 0..layers {
                     let at = k * plane + pixel;
@@ -184,11 +189,13 @@ fn backward<T: Real>(inputs: &Inputs<T>, outputs: &Outputs<T>, reached: Reached)
                             sums[4 * k + c][local] = through_k * incoming.gaussian[c];
                         }
                         sums[4 * k + 3][local] = through_k * incoming.weight;
+                        // an ablation: Gaussians then teach the surfels before them nothing
                         if !inputs.detach_transmittance {
                             let (payload, weight) = inputs.sums(k, pixel);
                             through[k][local] = dot(incoming.gaussian, payload) + incoming.weight * weight;
                         }
                     }
+                    // a missing layer still lets Gaussians through, whose gradients are above this line
                     let Ok(id) = usize::try_from(inputs.ids[at]) else { continue };
                     if reached.surfels() {
                         weights[k][local] = dot(incoming.surfel, row(inputs.colours, id));

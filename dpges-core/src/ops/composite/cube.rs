@@ -134,6 +134,7 @@ fn parts_backward_kernel(
     if pixel >= plane {
         terminate!();
     }
+    // compiled for the outputs that a loss looks at: gradients of the others are empty buffers
     let mut inverse = 0.0f32;
     let mut weight = 0.0f32;
     if comptime!(reached.image) {
@@ -148,6 +149,7 @@ fn parts_backward_kernel(
             let shared = grad_image[at] * inverse;
             surfel += shared;
             gaussian += shared;
+            // ∂C / ∂W = −C / (1 + W)
             weight -= shared * image[at];
         }
         if comptime!(reached.surfel_image) {
@@ -191,6 +193,7 @@ fn layers_backward_kernel(
         let at = k * plane + pixel;
         grad_weights[at] = dot(surfel, layer_colour(colours, ids[at]));
         let mut of_gate = 0.0f32;
+        // an ablation leaves out that Gaussians teach the surfels before them
         if comptime!(gated) {
             let sum = 4 * k * plane + pixel;
             let payload = vec3(sums[sum], sums[sum + plane], sums[sum + 2 * plane]);
@@ -259,8 +262,10 @@ fn colours_backward_kernel(
             #[unroll]
             for k in 0..layers {
                 let at = k * plane + pixel;
+                // a surfel is one layer of a pixel at most: the sum finds it without a branch
                 share += select(ids[at] == surfel, weights[at], 0.0f32);
             }
+            // a rectangle around a surfel holds many pixels of others, for which nothing is loaded
             if share != 0.0f32 {
                 let incoming = rgb(grad_parts, pixel, plane);
                 own[0] += share * incoming.x;
@@ -305,6 +310,7 @@ impl CompositeOps for CubeBackend {
             gaussian_colour: image(3),
             gaussian_weight: image(1),
         };
+        // two launches, since one would bind ten buffers, and WebGPU has eight
         surfels_kernel::launch(
             &client,
             units(height * width),
@@ -349,6 +355,7 @@ impl WayBackFromAll<CubeBackend, 4, 4> for CompositeState<CubeBackend> {
         let reached = Reached::new::<CubeBackend>(&grads);
         let [of_image, of_surfel_image, of_colour, of_weight] =
             grads.map(|grad| grad.map_or_else(|| empty_f32(like, [0]), floats));
+        // once for three kernels, each of which binds this in place of up to six buffers
         let parts = empty_f32(like, [PARTS, height, width]);
         parts_backward_kernel::launch(
             &client,

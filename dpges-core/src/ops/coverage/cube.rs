@@ -18,6 +18,7 @@ fn coverage_kernel(ids: &[i32], pixels: &[Atomic<i32>], count: u32) {
     }
     let id = ids[pixel];
     if id >= 0i32 {
+        // integers: counts do not depend on the order of the units
         pixels[id as usize].fetch_add(1i32);
     }
 }

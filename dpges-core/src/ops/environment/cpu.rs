@@ -51,6 +51,7 @@ impl<T: Real> Directions<T> {
                 std::array::from_fn(|lane| apply(world_from_pixel, [left + T::of(lane as f64), row, T::one()]))
             }
             Self::Bent { rays, camera_from_world, width } => std::array::from_fn(|lane| {
+                // lanes beyond the row repeat its last pixel; what they find is dropped
                 let at = y * width + (x + lane).min(width - 1);
                 apply_transposed(camera_from_world, rays[at].map(T::of))
             }),
@@ -70,6 +71,7 @@ fn basis<T: Real>(directions: &Directions<T>, x: usize, y: usize) -> [[T; LANES]
         }
     }
     if matches!(directions, Directions::Bent { .. }) {
+        // a ray of 0 has no direction, and its harmonics are NaN until here
         for (lane, ray) in rays.iter().enumerate() {
             if *ray == [T::zero(); 3] {
                 values.iter_mut().for_each(|values| values[lane] = T::zero());
@@ -110,6 +112,7 @@ fn backward<T: Real>(grad: &[T], camera: &Camera, count: usize) -> Vec<T> {
     let directions = Directions::<T>::new(camera);
     let (bands, plane) = (Bands::new(height), width * height);
     let none = [T::zero(); LANES];
+    // sums by bands and lanes, added in this order: the same bits with any number of threads
     let partial: Vec<[[[T; LANES]; 3]; MAX_COEFFICIENTS]> = (0..BAND_COUNT)
         .into_par_iter()
         .map(|band| {

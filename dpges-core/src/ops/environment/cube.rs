@@ -57,6 +57,7 @@ fn direction(rays: Rays, pixel: u32) -> Vec3 {
             rays.yx * own.x + rays.yy * own.y + rays.yz * own.z,
             rays.zx * own.x + rays.zy * own.y + rays.zz * own.z,
         );
+        // 0 stays 0, where a lens shows nothing
         scale(ray, 1.0f32 / f32::sqrt(max(dot(ray, ray), 1e-30f32)))
     }
 }
@@ -65,6 +66,7 @@ fn direction(rays: Rays, pixel: u32) -> Vec3 {
 #[cube]
 fn value(rays: Rays, d: Vec3, #[comptime] k: usize) -> f32 {
     let value = harmonic(d, k);
+    // directions have a length of 1, or 0 where a lens shows nothing
     if comptime!(rays.lens.kind == LensKind::None) { value } else { select(dot(d, d) > 0.5f32, value, 0.0f32) }
 }
 
@@ -100,6 +102,7 @@ fn environment_backward_kernel(grad: &[f32], coefficients: &mut [f32], rays: Ray
     }
     let plane = rays.pixels as usize;
     let unit = UNIT_POS as usize;
+    // a cube per coefficient: all 48 sums of every unit would take 48 KiB of workgroup memory, and WebGPU has 16
     let mut red = 0.0f32;
     let mut green = 0.0f32;
     let mut blue = 0.0f32;
@@ -109,6 +112,7 @@ fn environment_backward_kernel(grad: &[f32], coefficients: &mut [f32], rays: Ray
         let mut share = 0.0f32;
         #[unroll]
         for k in 0..count {
+            // `own` is not known to the compiler, and `harmonic` takes an index that is: one of these runs
             if own == k {
                 share = value(rays, d, k);
             }

@@ -14,6 +14,7 @@ const CHUNK: usize = 1 << 14;
 fn first_non_finite<T: Real>(values: &[T]) -> i32 {
     // 0 · x is 0 for every finite x and NaN otherwise: one vectorised sum per chunk
     let suspicious = |chunk: &[T]| !chunk.iter().fold(T::zero(), |sum, &x| sum + x * T::zero()).is_finite();
+    // the first, whichever thread finds one first
     let chunk = values.par_chunks(CHUNK).position_first(suspicious);
     let within =
         |chunk: usize| values[chunk * CHUNK..].iter().position(|x| !x.is_finite()).map(|at| chunk * CHUNK + at);

@@ -17,6 +17,7 @@ fn look(values: &[f32], count: u32, positions: &[Atomic<u32>], tensor: u32) {
     if i < count as usize {
         let bad = (u32::reinterpret(values[i]) & 0x7f80_0000u32) == 0x7f80_0000u32;
         if bad {
+            // the least position is the same in any order of the units
             positions[tensor as usize].fetch_min(i as u32);
         }
     }
@@ -35,6 +36,7 @@ fn finite_kernel(
     counts: PerTensor,
     from: u32,
 ) {
+    // six tensors, the positions and the scalars are the eight buffers that WebGPU binds
     look(first, counts.first, positions, from);
     look(second, counts.second, positions, from + 1u32);
     look(third, counts.third, positions, from + 2u32);
@@ -50,6 +52,7 @@ fn gate_kernel(positions: &[i32], open: &mut [f32], bad: &mut [f32], count: u32)
         for tensor in 0..count {
             found += select(positions[tensor as usize] >= 0i32, 1.0f32, 0.0f32);
         }
+        // left on the device for the kernel of Adam: nothing waits for the host
         open[0] = select(found == 0.0f32, 1.0f32, 0.0f32);
         bad[0] = found;
     }

@@ -28,6 +28,7 @@ fn forward<T: Real>(base: &[T], detail: &[T], positions: &[T], centre: [f64; 3])
 /// Gradients with respect to base and detail.
 fn backward<T: Real>(positions: &[T], grad: &[T], centre: [f64; 3], width: usize) -> (Vec<T>, Vec<T>) {
     let centre = centre.map(T::of);
+    // no gradient to positions: directions carry none
     let base = grad.iter().map(|&g| g * T::of(SH_C0)).collect();
     let mut detail = vec![T::zero(); grad.len() * width];
     if width > 0 {

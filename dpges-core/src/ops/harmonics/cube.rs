@@ -28,6 +28,7 @@ fn harmonics_kernel(
     }
     let d = direction(row3(positions, i), eye);
     let mut value = base[i] * harmonic(d, 0usize);
+    // unrolled, since `harmonic` takes an index that the compiler knows
     #[unroll]
     for c in 0..higher {
         value += detail[i * higher + c] * harmonic(d, comptime!(c + 1));
@@ -50,6 +51,7 @@ fn harmonics_backward_kernel(
     }
     let incoming = grad[i];
     let d = direction(row3(positions, i), eye);
+    // no gradient to positions: directions carry none
     grad_base[i] = incoming * harmonic(d, 0usize);
     #[unroll]
     for c in 0..higher {

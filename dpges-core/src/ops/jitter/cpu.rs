@@ -28,11 +28,13 @@ pub(super) fn hash(words: [u32; 4]) -> [u32; 4] {
 
 /// In (0, 1), from the upper 23 bits: exact in f32.
 fn uniform(word: u32) -> f64 {
+    // the half keeps 0 out, whose logarithm is infinite
     (f64::from(word >> 9) + 0.5) / f64::from(1u32 << 23)
 }
 
 /// Three standard normal numbers (Box and Muller).
 pub(super) fn normals(words: [u32; 4]) -> DVec3 {
+    // of four normal numbers three are needed
     let [a, b, c, d] = words.map(uniform);
     let (first, second) = ((-2.0 * a.ln()).sqrt(), (-2.0 * c.ln()).sqrt());
     DVec3::new(first * (TAU * b).cos(), first * (TAU * b).sin(), second * (TAU * d).cos())
@@ -71,9 +73,11 @@ impl<B: Host> JitterOps for B {
                 let opacity = opacities[row].as_f64();
                 let strength = options.amount * options.gate.of(opacity);
                 let log_scales = vector(&log_scales, row);
+                // opaque Gaussians have a closed gate: they do without a hash and logarithms
                 if strength * (2.0 * log_scales.max_element()).exp() >= MIN_DEVIATION {
                     let draw = normals(hash([row as u32, 0, seed_low, seed_high]));
                     let rotation = rotation(&quaternions, row);
+                    // V ξ = R diag(s²) Rᵀ ξ, from the right, so that V itself is not needed
                     let along_axes = (2.0 * log_scales).exp() * (rotation.conjugate() * draw);
                     let moved = vector(position, 0) + strength * (rotation * along_axes);
                     position.iter_mut().zip(moved.to_array()).for_each(|(x, moved)| *x = T::of(moved));

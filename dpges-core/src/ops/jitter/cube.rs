@@ -39,6 +39,7 @@ fn mixed(v: Words) -> Words {
 #[cube]
 fn hash(row: u32, seed_low: u32, seed_high: u32) -> Words {
     let first = mixed(Words {
+        // unsigned numbers wrap around on devices, as the CPU's `wrapping_mul` does
         x: row * 1_664_525u32 + 1_013_904_223u32,
         y: 1_013_904_223u32.runtime(),
         z: seed_low * 1_664_525u32 + 1_013_904_223u32,
@@ -72,7 +73,9 @@ fn normals(words: Words) -> Vec3 {
 #[cube]
 fn gated(opacity: f32, #[comptime] gate: NoiseGate) -> f32 {
     match gate {
+        // e⁸⁸ is about the largest f32
         NoiseGate::Mcmc => 1.0f32 / (1.0f32 + f32::exp(min(100.0f32 * (opacity - 0.005f32), 80.0f32))),
+        // a power by its logarithm, which 0 does not have
         NoiseGate::Beta => f32::exp(100.0f32 * f32::ln(max(1.0f32 - opacity, 1e-30f32))),
     }
 }
@@ -95,6 +98,7 @@ fn jitter_kernel(
     let scales = row3(log_scales, i);
     let squared = vec3(f32::exp(2.0f32 * scales.x), f32::exp(2.0f32 * scales.y), f32::exp(2.0f32 * scales.z));
     let strength = noise.amount * gated(opacities[i], gate);
+    // opaque Gaussians have a closed gate: they do without a hash and logarithms
     if strength * max(squared.x, max(squared.y, squared.z)) >= MIN_DEVIATION as f32 {
         let frame = rotation(row4(quaternions, i));
         let draw = normals(hash(i as u32, noise.seed_low, noise.seed_high));

@@ -189,6 +189,7 @@ fn select<T: Real, S: Simd>(mask: Mask<T, S>, a: Fragments<T, S>, b: Fragments<T
 /// Which fragments `a` come before `b` in the order of (depth, index).
 #[inline(always)]
 fn is_before<T: Real, S: Simd>(a: Fragments<T, S>, b: Fragments<T, S>) -> Mask<T, S> {
+    // places in the list of a tile ascend with indices, so that ties do not depend on the tile
     a[2].below(b[2]) | (b[2].at_least(a[2]) & a[0].below(b[0]))
 }
 
@@ -270,11 +271,13 @@ impl<T: Real> WithSimd for PeelTile<'_, T> {
         let candidate = |place: u32| &candidates[list[place as usize] as usize];
         // from near to far: a core is then known before most of what it hides
         let mut order: Vec<u32> = (0..list.len() as u32).collect();
+        // unstable: layers are sorted by depth and index, in whatever order surfels come
         order.sort_unstable_by(|&a, &b| candidate(a).nearest.as_f64().total_cmp(&candidate(b).nearest.as_f64()));
         let reach = |id: u32| T::of(ORDER) * margins[id as usize];
         let furthest = || list.iter().map(|&at| reach(candidates[at as usize].id)).fold(T::zero(), T::max);
         let mut cores = peeling.is_continuous().then(|| TileCores::none(furthest()));
         // cores have a slot of their own
+        // so that rims before a core, however many, never push it out
         let others = layer_count - usize::from(cores.is_some());
         let all = |value: f64| Lanes::splat(simd, T::of(value));
         let (end, slope) = (all(footprint.squared_radius(modulation)), all(footprint.rim_slope(modulation)));
@@ -290,6 +293,7 @@ impl<T: Real> WithSimd for PeelTile<'_, T> {
                 origin,
                 #[inline(always)]
                 |start, dx, dy| {
+                    // behind the cores of all pixels of the vector not even the hit is computed
                     if cores.as_ref().is_some_and(|cores| !cores.reach(start, nearest).any()) {
                         return;
                     }
@@ -301,6 +305,7 @@ impl<T: Real> WithSimd for PeelTile<'_, T> {
                         }
                     };
                     let squared = u.mul_add(u, v * v);
+                    // < and not <=: at its end a surfel has opacity 0
                     let mut exists = min_facing.below(facing.abs()) & near.below(depth) & squared.below(end);
                     if let Some(cores) = &cores {
                         exists = exists & cores.reach(start, depth);
@@ -350,6 +355,7 @@ fn backward<T: Real>(
     // derivative of opacity with respect to the exponent −(u² + v²) / 2
     let steepness = |squared: f64| {
         if peeling.is_continuous() {
+            // a core stays opaque, whatever moves a little
             let is_rim = (end - squared) * slope < 1.0;
             return if is_rim { 2.0 * slope } else { 0.0 };
         }
@@ -379,6 +385,7 @@ fn backward<T: Real>(
                             (disc.plane.hit_by(ray), [ray[2], ray[0], ray[1]])
                         }
                     };
+                    // the hit is found again in f64: gradients are divided by the square of the facing
                     let power = of_alpha * steepness(hit.squared());
                     disc.accumulate(offset, &hit, power, of_depth, &mut sums[id]);
                 }
@@ -391,6 +398,7 @@ fn backward<T: Real>(
     let rows = positions.par_chunks_mut(3).zip(quaternions.par_chunks_mut(4)).zip(log_scales.par_chunks_mut(2));
     rows.enumerate().for_each(|(i, ((position, quaternion), log_scales))| {
         let mut sum = partial[0][i];
+        // in the order of the bands: the same bits with any number of threads
         partial[1..].iter().for_each(|band| sum.add(&band[i]));
         let grads = discs[i].backward(&camera, surfels.parameters(i).quaternion, &sum);
         position.copy_from_slice(&grads.0.map(T::of));

@@ -46,6 +46,7 @@ struct Rim {
 fn unbounded_opacity(rim: Rim, squared: f32, #[comptime] continuous: bool) -> f32 {
     let mut opacity = (rim.end - squared) * rim.slope;
     if comptime!(!continuous) {
+        // bounded, since an edge-on disc is met far away and devices may assume that no number is infinite
         opacity = rim.modulation * f32::exp(max(-0.5f32 * squared, -100.0f32));
     }
     opacity
@@ -108,6 +109,7 @@ fn peel_kernel(
     let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * PLANE));
     // cores have a slot of their own
     let others = comptime!(if continuous { layers - 1 } else { layers });
+    // arrays that only constants index, so that they stay in registers
     let mut slots =
         Slots { depth: Array::<f32>::new(layers), alpha: Array::<f32>::new(layers), id: Array::<u32>::new(layers) };
     #[unroll]
@@ -125,6 +127,7 @@ fn peel_kernel(
     for batch in 0..batches {
         let entries = list.stage(ids, batch, planes, planes, &mut staged, (PLANE, 0));
         for j in 0..entries {
+            // f32 is enough to find layers; gradients are divided by the square of the facing, and take pairs
             let found = Plane::load(&staged, j as usize * PLANE).hit_by(view, sight);
             let squared = squared_distance(found);
             let exists = f32::abs(found.facing) > MIN_FACING && found.depth > view.near && squared < rim.end;
@@ -146,6 +149,7 @@ fn peel_kernel(
                 }
                 #[expect(clippy::collapsible_if, reason = "the outer condition is known before")]
                 if comptime!(others > 0) {
+                    // <= since of equal depths the index decides, in `insert`
                     if depth <= slots.depth[others - 1] && id != NONE {
                         insert(&mut slots, depth, alpha, id, others);
                     }
@@ -176,6 +180,7 @@ fn peel_kernel(
             out_alpha[at] = select(closed, 0.0f32, slots.alpha[k]);
             out_depth[at] = select(closed, view.infinity, slots.depth[k]);
             if comptime!(!continuous) {
+                // nothing is behind an opaque layer, although its fragments took places of the list
                 closed = closed || slots.alpha[k] >= 1.0f32;
             }
         }
@@ -232,6 +237,7 @@ fn gather_kernel(
                     }
                 }
             }
+            // a hit in pairs costs many times as much as one in f32: only layers with a gradient are met again
             if incoming_alpha != 0.0f32 || incoming_depth != 0.0f32 {
                 let sight = sight(view, f32::cast_from(column) + 0.5f32, f32::cast_from(row) + 0.5f32);
                 let plane = Plane::load(planes, surfel * PLANE);
@@ -285,6 +291,7 @@ impl PeelOps for CubeBackend {
         let like = surfels.positions.clone();
         let count = like.shape()[0];
         let Planes { planes, rects, .. } = setup(&surfels, &camera, &options);
+        // discs have no test that is finer than their rectangle
         let lists = bin(&rects, None, &camera, ListKind::Surfels);
         let shape = [options.layer_count, camera.height, camera.width];
         let (ids, alpha, depth) = (empty(&like, shape, DType::I32), empty_f32(&like, shape), empty_f32(&like, shape));

@@ -25,6 +25,7 @@ pub fn taps<T: Real>() -> [T; WINDOW] {
     let raw: [f64; WINDOW] =
         std::array::from_fn(|i| (-(i as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp());
     let sum: f64 = raw.iter().sum();
+    // normalised in f64, so that f32 and f64 have one window
     raw.map(|tap| T::of(tap / sum))
 }
 
@@ -46,6 +47,7 @@ impl<T: Real> Rows<T> {
         let taps = taps::<T>();
         let mut values = vec![T::zero(); lines * Q * width];
         values.par_chunks_mut((Q * width).max(1)).with_min_len(MIN_ROWS).enumerate().for_each_init(
+            // zeros on both sides are the padding: the loop below needs no test, and is vectorised
             || std::array::from_fn(|_| vec![T::zero(); width + 2 * RADIUS]),
             |padded: &mut [Vec<T>; Q], (line, out)| {
                 vectorised(
@@ -72,6 +74,7 @@ impl<T: Real> Rows<T> {
         let stride = out.len();
         let y = line % self.height;
         out.fill(T::zero());
+        // rows beyond the image are 0, and left out
         let first = RADIUS.saturating_sub(y);
         let last = WINDOW.min(self.height - y + RADIUS);
         for (t, &tap) in taps.iter().enumerate().take(last).skip(first) {
@@ -135,6 +138,7 @@ fn forward<T: Real>(pair: &Pair<T>) -> ([T; 3], Vec<T>) {
     let rows = Rows::horizontal::<4>(lines, width, height, |line, padded| {
         let (a, b) = pair.rows(line);
         for x in 0..width {
+            // SSIM has both variances in one sum: four windows, not five
             let products = [a[x], b[x], a[x] * a[x] + b[x] * b[x], a[x] * b[x]];
             for (padded, value) in padded.iter_mut().zip(products) {
                 padded[RADIUS + x] = value;
@@ -175,6 +179,7 @@ fn forward<T: Real>(pair: &Pair<T>) -> ([T; 3], Vec<T>) {
             },
         )
         .collect();
+    // rows are added in their order: the same bits with any number of threads
     let total = |which: usize| sums.iter().map(|sums| sums[which]).sum::<T>();
     ([total(0), total(1), total(2)], partials)
 }
@@ -186,6 +191,7 @@ fn differences<T: Real>(pair: &Pair<T>, line: usize) -> [T; 2] {
     let (mut absolute, mut squared) = (T::zero(), T::zero());
     for (x, (&a, &b)) in image.iter().zip(target).enumerate() {
         absolute = absolute + (a - b).abs();
+        // clamped, since PSNR is that of the picture as it is shown
         let error = a.max(T::zero()).min(T::one()) - b;
         squared = squared + if pair.counts(line, x) { error * error } else { T::zero() };
     }
@@ -213,6 +219,7 @@ fn backward<T: Real>(pair: &Pair<T>, partials: &[T], grad: T, weights: &Photomet
     let &Pair { lines, width, height, .. } = pair;
     let plane = lines * width;
     let of_similarity = grad * T::of(weights.ssim * weights.pixels_per_counted);
+    // the partial derivatives of SSIM are those of a mean already; absolute differences are divided here
     let of_difference = grad * T::of(weights.l1 * weights.pixels_per_counted / plane as f64);
     let rows = Rows::horizontal::<3>(lines, width, height, |line, padded| {
         for (quantity, padded) in padded.iter_mut().enumerate() {
@@ -245,6 +252,7 @@ fn backward<T: Real>(pair: &Pair<T>, partials: &[T], grad: T, weights: &Photomet
 /// −1, 0 or 1.
 #[inline(always)]
 fn sign<T: Real>(value: T) -> T {
+    // `signum` of 0.0 is 1
     if value == T::zero() { value } else { value.signum() }
 }
 

@@ -95,6 +95,7 @@ fn add_to_windows(
     #[comptime] quantity: u32,
     #[comptime] neighbours: u32,
 ) {
+    // a value is read once for all windows of a unit that reach it
     #[unroll]
     for neighbour in 0..neighbours {
         if comptime!(neighbour <= at && at - neighbour < TAPS) {
@@ -131,6 +132,7 @@ fn window_columns(rows: &mut [f32], window: Window, #[comptime] quantities: usiz
     let places = comptime!(TILE * TILE / DOWN);
     let quantity = (UNIT_POS / places) as usize;
     let (column, row) = (UNIT_POS % TILE, UNIT_POS % places / TILE * DOWN);
+    // the rows are read into registers before what takes their place is written
     let mut sums = zeros(comptime!(DOWN as usize));
     sync_cube();
     if quantity < quantities {
@@ -176,6 +178,7 @@ fn compare_kernel(
     }
     let plane = (window.width * window.height) as usize;
     let channel = (CUBE_POS as u32 / window.tiles) as usize * plane;
+    // two padded tiles and the rows take 12 of the 16 KiB of workgroup memory that WebGPU guarantees
     let mut a = Shared::<[f32]>::new_slice(PADDED_PIXELS);
     let mut b = Shared::<[f32]>::new_slice(PADDED_PIXELS);
     let mut rows = Shared::<[f32]>::new_slice(comptime!(ROWS * MEANS));
@@ -183,7 +186,9 @@ fn compare_kernel(
     while index < PADDED * PADDED {
         let (at, inside) = padded_pixel(window, index);
         let shown = image[channel + at];
+        // where pixels do not count both are equal, so that no window sees the border of a mask
         let wanted = select(counts(ignored, at, masked), target[channel + at], shown);
+        // the window sees zeros beyond the image
         a[index as usize] = select(inside, shown, 0.0f32);
         b[index as usize] = select(inside, wanted, 0.0f32);
         index += UNITS;
@@ -192,6 +197,7 @@ fn compare_kernel(
     let (start, place, has_place) = place_across();
     if has_place {
         let mut means = zeros(comptime!(MEANS * ACROSS as usize));
+        // along x first, then along y: 22 products in place of 121
         #[unroll]
         for t in 0..TAPS + ACROSS - 1 {
             let (va, vb) = (a[(start + t) as usize], b[(start + t) as usize]);
@@ -226,6 +232,7 @@ fn compare_kernel(
         let share = 1.0f32 / f32::cast_from(total);
         let middle = ((y + REACH) * PADDED + x + REACH) as usize;
         let (shown, wanted) = (a[middle], b[middle]);
+        // clamped, since PSNR is that of the picture as it is shown
         let error = min(max(shown, 0.0f32), 1.0f32) - wanted;
         own[0] = f32::abs(shown - wanted);
         own[1] = value;
@@ -250,6 +257,7 @@ fn value_kernel(sums: &[f32], value: &mut [f32], squared_error: &mut [f32], shar
         terminate!();
     }
     let mut total = Shared::<[f32]>::new_slice(comptime!(SUMS * UNITS as usize));
+    // one cube, always in the same order: the same bits in every run
     sum_parts(sums, cubes, &mut total, SUMS);
     if UNIT_POS == 0u32 {
         value[0] = shares.offset + (shares.difference * total[0] + shares.similarity * total[1]);
@@ -275,6 +283,7 @@ fn backward_kernel(
     }
     let plane = (window.width * window.height) as usize;
     let channel = (CUBE_POS as u32 / window.tiles) as usize * plane;
+    // 13 of the 16 KiB of workgroup memory that WebGPU guarantees
     let mut padded = Shared::<[f32]>::new_slice(comptime!(PADDED_PIXELS * PARTIALS));
     let mut rows = Shared::<[f32]>::new_slice(comptime!(ROWS * PARTIALS));
     let mut index = UNIT_POS;
@@ -311,6 +320,7 @@ fn backward_kernel(
         let unit = UNIT_POS as usize;
         let (by_mean, by_square) = (rows[unit], rows[UNITS as usize + unit]);
         let by_product = rows[2 * UNITS as usize + unit];
+        // a window is its own transpose, so that the partial derivatives are windowed like the images
         let by_similarity = by_mean + 2.0f32 * shown * by_square + wanted * by_product;
         let gradient = shares.similarity * by_similarity + shares.difference * sign(shown - wanted);
         grad_image[at] = select(counts(ignored, pixel, masked), grad[0] * gradient, 0.0f32);

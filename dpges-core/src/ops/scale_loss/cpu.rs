@@ -21,12 +21,14 @@ fn sum<T: Real>(log_scales: &[T], of: impl Fn(&[T]) -> T + Send + Sync) -> T {
 /// Logarithm of the mean scale.
 fn log_mean<T: Real>(log_scales: &[T]) -> T {
     let largest = log_scales.iter().fold(T::neg_infinity(), |largest, &value| largest.max(value));
+    // relative to the largest, so that no exponential overflows in a world of any size
     let total = sum(log_scales, |chunk| chunk.iter().map(|&value| (value - largest).exp()).sum());
     largest + (total / T::of(log_scales.len() as f64)).ln()
 }
 
 /// exp(x) and its derivative, continued by the tangent.
 fn cost<T: Real>(x: T) -> [T; 2] {
+    // e⁸⁸ is about the largest f32: one huge surfel would spoil the loss of all
     let clamped = x.min(T::of(LINEAR_FROM));
     let slope = clamped.exp();
     [slope * (x - clamped + T::one()), slope]

@@ -37,6 +37,7 @@ fn moments_kernel(log_scales: &[f32], moments: &mut [f32], numbers: u32, parts: 
     let mut own = zeros(1usize);
     let mut again = first;
     while again < numbers {
+        // relative to the largest of the cube, so that no exponential overflows in a world of any size
         own[0] += f32::exp(log_scales[again as usize] - largest);
         again += parts * UNITS;
     }
@@ -51,6 +52,7 @@ fn moments_kernel(log_scales: &[f32], moments: &mut [f32], numbers: u32, parts: 
 /// this together.
 #[cube]
 fn log_mean_of(moments: &[f32], numbers: u32, parts: u32, memory: &mut [f32]) -> f32 {
+    // units beyond the parts look at the last one, whose sum they count as 0
     let part = min(UNIT_POS, parts - 1u32) as usize * FOUND;
     let own_largest = moments[part];
     let own_sum = select(UNIT_POS < parts, moments[part + 1], 0.0f32);
@@ -77,6 +79,7 @@ fn costs_kernel(
         terminate!();
     }
     let mut memory = Shared::<[f32]>::new_slice(comptime!(UNITS as usize));
+    // every cube finds the mean for itself, in one order, which saves a launch
     let mean = log_mean_of(moments, 2u32 * surfels, moment_parts, &mut memory);
     let mut own = zeros(1usize);
     let mut surfel = CUBE_POS as u32 * UNITS + UNIT_POS;
@@ -84,6 +87,7 @@ fn costs_kernel(
         let at = 2 * surfel as usize;
         let x = 0.5f32 * (f32::exp(log_scales[at] - mean) + f32::exp(log_scales[at + 1] - mean));
         let clamped = min(x, LINEAR_FROM_F32);
+        // e⁸⁸ is about the largest f32: one huge surfel would spoil the loss of all
         own[0] += f32::exp(clamped) * (x - clamped + 1.0f32);
         surfel += parts * UNITS;
     }

@@ -50,17 +50,20 @@ impl<T: Real> LimitBlocks<T> {
     /// From limits [K + 1, H, W].
     fn new(limits: &[T], grid: TileGrid) -> Self {
         let layers = limits.len() / (grid.width * grid.height) - 1;
+        // no depth is before −∞: pixels outside the image take nothing
         let of_pixels = to_tiles(limits, layers + 1, grid, -T::INFINITY);
         let mut ranges = vec![[T::INFINITY, -T::INFINITY]; grid.len() * layers];
         ranges.par_chunks_mut(layers).zip(of_pixels.par_chunks((layers + 1) * TILE_PIXELS)).for_each(
             |(ranges, of_pixels)| {
                 let limit = |k: usize, pixel: usize| of_pixels[k * TILE_PIXELS + pixel];
+                // outside the image the slope is −∞, too
                 for pixel in (0..TILE_PIXELS).filter(|&pixel| limit(layers, pixel) > T::zero()) {
                     let ramp = T::one() / limit(layers, pixel);
                     let mut low = -T::INFINITY;
                     for (k, range) in ranges.iter_mut().enumerate() {
                         let high = limit(k, pixel);
                         if low < high {
+                            // from where the layer before begins to hide: the ramp belongs to both intervals
                             *range = [range[0].min(low - ramp), range[1].max(high)];
                         }
                         low = high;
@@ -82,6 +85,7 @@ impl<T: Real> TileLimits<'_, T> {
     /// From the first to the last interval that a Gaussian at this depth falls into at some pixel of the tile.
     #[inline(always)]
     fn intervals(&self, depth: T) -> Range<usize> {
+        // < since at the limit itself the share before it is 0
         let falls = |range: &[T; 2]| depth >= range[0] && depth < range[1];
         let first = self.ranges.iter().position(falls).unwrap_or(self.ranges.len());
         first..self.ranges.iter().rposition(falls).map_or(first, |last| last + 1)
@@ -104,6 +108,7 @@ impl<T: Real> TileLimits<'_, T> {
             if intervals.start == 0 { none } else { self.before(intervals.start - 1, start, depth, slope) };
         for k in intervals.clone() {
             let before = self.before(k, start, depth, slope);
+            // most Gaussians are in one interval, and each visit reads and writes four planes
             if nearer.below(before).any() {
                 visit(k, before - nearer);
             }
@@ -135,6 +140,7 @@ fn forward<T: Real>(
 ) -> Vec<T> {
     let grid = TileGrid::new(camera.width, camera.height);
     let seen = InView::new(gaussians, &CameraOf::new(camera), filter, grid);
+    // culling by the ellipse, not its box, which a thin one fills by a small part
     let lists = bin(&seen.rects, grid, |i, tx, ty| seen.splats[i].touches(tx, ty));
     let limits = LimitBlocks::new(limits, grid);
     let (layers, block) = (limits.layers, limits.layers * CHANNELS * TILE_PIXELS);
@@ -143,6 +149,7 @@ fn forward<T: Real>(
         let (candidates, origin, limits) = (lists.of(tile), grid.origin(tile), limits.tile(tile));
         vectorised(SplatTile { candidates, seen: &seen, origin, limits, sums });
     });
+    // the way back takes the same footprints, in place of projecting again
     kept.put(seen);
     to_planes(&sums, layers * CHANNELS, grid)
 }
@@ -165,6 +172,7 @@ impl<T: Real> WithSimd for SplatTile<'_, T> {
         for &id in candidates {
             let (splat, rect) = (&seen.splats[id as usize], &seen.rects[id as usize]);
             let intervals = limits.intervals(splat.depth);
+            // hidden in every pixel of the tile: no exponential is computed
             if intervals.is_empty() {
                 continue;
             }
@@ -275,6 +283,7 @@ impl<T: Real> Gather<'_, T> {
                 let grad = &self.grad[tile * block..][..block];
                 let intervals = limits.intervals(splat.depth);
                 let [red, green, blue, alpha] = read_gradients(grad, limits, &intervals, depth, start);
+                // the weight has the payload (c, 1), so that its gradient is that of the four sums with it
                 let payload = colour[0].mul_add(red, colour[1].mul_add(green, colour[2].mul_add(blue, alpha)));
                 for (sum, grad) in colours.iter_mut().zip([red, green, blue]) {
                     *sum = weight.mul_add(grad, *sum);
@@ -330,6 +339,7 @@ fn backward<T: Real>(
     let grad = to_tiles(grad, limits.layers * CHANNELS, grid, T::zero());
     let seen = kept.get_or(|| InView::new(gaussians, &camera, filter, grid));
     let mut sums: Vec<SplatGrad<T>> = vec![SplatGrad::default(); seen.rows.len()];
+    // a Gaussian is summed by one task, in the order of its tiles: the same bits with any number of threads
     sums.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, sums)| {
         vectorised(Gather { seen: &seen, first: chunk * CHUNK, grid, limits: &limits, grad: &grad, sums });
     });
@@ -354,6 +364,7 @@ fn backward<T: Real>(
                 || {
                     for j in 0..opacities.len() {
                         let i = chunk * CHUNK + j;
+                        // out of view nothing has a gradient, and all are 0 so far
                         if places[i] == UNSEEN {
                             continue;
                         }
@@ -410,6 +421,7 @@ impl<T: Real> WithSimd for Largest<'_, T> {
                 );
             },
         );
+        // the colour is that of all pixels: one product after the maximum
         largest.largest() * splat.colour.iter().fold(T::zero(), |most, channel| most.max(channel.abs()))
     }
 }

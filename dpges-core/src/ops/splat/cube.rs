@@ -47,6 +47,7 @@ fn ends_kernel(limits: &[f32], ends: &mut [f32], view: CameraUniforms, #[comptim
         terminate!();
     }
     let pixel = own_pixel(view, CUBE_POS as u32);
+    // no depth is before −∞: pixels outside the image hide nothing and show nothing
     let mut own = -view.infinity;
     if pixel.inside {
         own = limits[(layers - 1) * plane_of(view) + pixel.at];
@@ -82,11 +83,13 @@ fn splat_kernel(
     let unit = UNIT_POS as usize;
     let region = unit / LANES as usize;
 
+    // this and what follows takes 13 of the 16 KiB of workgroup memory that WebGPU guarantees
     let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * STAGED));
     let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
     let mut visits = Shared::<[u32]>::new_slice(comptime!(REGIONS * WORDS));
     let mut last = Shared::<[f32]>::new_slice(comptime!(UNITS as usize));
     let mut ends = Shared::<[f32]>::new_slice(REGIONS);
+    // limits and sums are only indexed by constants, so that they stay in registers
     let mut upper = Array::<f32>::new(layers);
     let mut slope = 1.0f32.runtime();
     if pixel.inside {
@@ -103,6 +106,7 @@ fn splat_kernel(
     last[unit] = upper[layers - 1];
     sync_cube();
     if unit < REGIONS {
+        // a unit for each region, in the order of its pixels
         let mut furthest = -view.infinity;
         for lane in 0..LANES {
             furthest = max(furthest, last[unit * LANES as usize + lane as usize]);
@@ -123,6 +127,7 @@ fn splat_kernel(
                 let splat = Splat::load(&staged, o);
                 let dy = pixel.y - splat.mean_y;
                 let weight = splat.weight(splat.u(pixel.x - splat.mean_x, dy), splat.r * dy);
+                // < since at the limit itself the share before it is 0
                 if weight > 0.0f32 && splat.depth < upper[layers - 1] {
                     let colour = Vec3::load(&staged, o + SPLAT);
                     let mut nearer = 0.0f32;
@@ -191,6 +196,7 @@ fn gather_kernel(
             let dy = f32::cast_from(row) + 0.5f32 - splat.mean_y;
             let (u, v) = (splat.u(dx, dy), splat.r * dy);
             let weight = splat.weight(u, v);
+            // most pixels of a rectangle end here: nothing of their gradients is loaded
             if weight > 0.0f32 && splat.depth < limits[(layers - 1) * plane + pixel] {
                 let slope = limits[layers * plane + pixel];
                 let mut red = 0.0f32;
@@ -211,6 +217,7 @@ fn gather_kernel(
                         nearer = before;
                     }
                 }
+                // the weight has the payload (c, 1); times itself its gradient is that of the exponent
                 let power = weight * (alpha + colour.x * red + colour.y * green + colour.z * blue);
                 add_moments(&mut own, power, u, v);
                 own[MOMENTS] += weight * red;
@@ -312,6 +319,7 @@ fn brightest_kernel(largest_of_pieces: &[f32], starts: &[u32], colours: &[f32], 
         }
         let colour = row3(colours, i);
         let brightest = max(f32::abs(colour.x), max(f32::abs(colour.y), f32::abs(colour.z)));
+        // the colour is that of all pixels: one product after the maximum
         own[0] *= brightest;
     }
     store_gathered(&own, contributions, count, 1usize, false);
@@ -323,6 +331,7 @@ impl SplatOps for CubeBackend {
         let (client, layers, count) = (limits.client.clone(), limits.shape()[0] - 1, gaussians.opacities.shape()[0]);
         let tiles = TileGrid::new(camera.width, camera.height).len();
         let (splats, rects) = splat_cube::splats(&gaussians, None, &camera, filter);
+        // with these the lists leave out what every pixel of a tile hides
         let ends = empty_f32(&limits, [tiles]);
         ends_kernel::launch(
             &client,
@@ -416,6 +425,7 @@ impl WayBack<CubeBackend, 6> for SplatState<CubeBackend> {
             pieces.most as u32,
             layers,
         );
+        // pieces are added in their order, without atomics: the same bits in every run
         let moments = pieces.collect(&sums, 0, MOMENTS);
         let mut out = GaussianTensors::empty(&limits, count);
         out.colours = pieces.collect(&sums, MOMENTS, COLOUR);

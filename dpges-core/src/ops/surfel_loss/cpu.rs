@@ -73,6 +73,7 @@ fn forward<T: Real>(inputs: &Inputs<T>, weights: &SurfelLossWeights) -> [T; 2] {
             [differences + difference, hidden + opaque * opaque]
         })
     };
+    // collected by chunk and added in their order: the same bits with any number of threads
     let sums: Vec<[T; 2]> = (0..inputs.plane.div_ceil(CHUNK)).into_par_iter().map(sums).collect();
     let shares = shares(inputs.plane, weights);
     [0, 1].map(|which| sums.iter().map(|sums| sums[which]).sum::<T>() * T::of(shares[which]))
@@ -85,6 +86,7 @@ fn backward<T: Real>(inputs: &Inputs<T>, layers: usize, grad: T, weights: &Surfe
         (grad * T::of(weights.image * image), grad * T::of(weights.transmittance * transmittance));
     let of_image = |at: usize| {
         let difference = inputs.difference(at);
+        // `signum` of 0.0 is 1
         let is_level = difference == T::zero() || !inputs.counts(at % plane);
         if is_level { T::zero() } else { image * difference.signum() }
     };
@@ -102,6 +104,7 @@ fn backward<T: Real>(inputs: &Inputs<T>, layers: usize, grad: T, weights: &Surfe
 
 /// The summand of a term of this weight.
 fn term<T: Real>(value: T, weight: f64) -> T {
+    // 0 times what is not finite is NaN
     if weight == 0.0 { T::zero() } else { value * T::of(weight) }
 }
 

@@ -38,6 +38,7 @@ fn sums_kernel(
     let mut at = CUBE_POS as u32 * UNITS + UNIT_POS;
     while at < pixels {
         let pixel = at as usize;
+        // masked or not is known when the kernel is compiled: without a mask nothing is read
         if counts(ignored, pixel, masked) {
             #[unroll]
             for channel in 0..3usize {
@@ -86,10 +87,12 @@ fn terms_kernel(
         terminate!();
     }
     let mut memory = Shared::<[f32]>::new_slice(comptime!(SUMS * UNITS as usize));
+    // one cube, always in the same order: the same bits in every run
     sum_parts(sums, parts, &mut memory, SUMS);
     if UNIT_POS == 0u32 {
         let (of_image, of_transmittance) = (shares.image * memory[0], shares.transmittance * memory[1]);
         let mut total = 0.0f32;
+        // 0 times what is not finite is NaN
         if shares.image_weight != 0.0f32 {
             total += shares.image_weight * of_image;
         }
@@ -145,6 +148,7 @@ fn transmittance_backward_kernel(
     }
     #[unroll]
     for k in 0..layers {
+        // only the last plane has a gradient, and a new buffer has any contents
         grad_transmittance[k * plane + pixel] = 0.0f32;
     }
     let last = layers * plane + pixel;
@@ -173,6 +177,7 @@ impl SurfelLossOps for CubeBackend {
         let input = contiguous(input);
         let [layers, height, width] = input.ids.shape().dims();
         let (like, client, pixels) = (&input.image, input.image.client.clone(), height * width);
+        // at most as many as a cube has units, whatever the size of the picture
         let parts = parts(pixels);
         let sums = empty_f32(like, [parts, SUMS]);
         sums_kernel::launch(
@@ -214,6 +219,7 @@ impl WayBack<CubeBackend, 2> for SurfelLossState<CubeBackend> {
         let [layers, height, width] = input.ids.shape().dims();
         let (client, pixels) = (grad.client.clone(), height * width);
         let pixel = weights.pixels_per_counted / pixels as f64;
+        // a term of weight 0 costs no launch and no tensor
         let image = (weights.image != 0.0).then(|| {
             let image = empty_f32(&grad, [3, height, width]);
             image_backward_kernel::launch(

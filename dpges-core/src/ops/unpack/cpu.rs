@@ -10,6 +10,7 @@ impl<B: Host> UnpackOps for B {
     fn unpack(words: IntTensor<B>, shape: [usize; 3]) -> FloatTensor<B> {
         let [channels, height, width] = shape;
         let packed = host::ints::<B>(&words);
+        // a CPU rounds this quotient to the nearest f32; GPUs need not, see the twin
         let value = |at: usize| f32::from(packed[at / IN_A_WORD].to_le_bytes()[at % IN_A_WORD]) / 255.0;
         let plane = |channel: usize| (0..height * width).map(move |pixel| pixel * channels + channel).map(value);
         let values: Vec<f32> = (0..channels).flat_map(plane).collect();

@@ -92,6 +92,7 @@ impl<T: Real> Stack<T> {
     /// `Π (1 − A_j s_ij)` over all j but i and `skipped`.
     #[inline(always)]
     fn left(&self, i: usize, skipped: usize) -> T {
+        // products of the others, in place of a division by 1 − A, which is 0 for a core
         let others = (0..self.count).filter(|&j| j != i && j != skipped);
         others.fold(T::one(), |left, j| left * (T::one() - self.alpha[j] * self.behind(i, j)[0]))
     }
@@ -104,6 +105,7 @@ impl<T: Real> Stack<T> {
             *weight = self.alpha[i] * self.left(i, i);
         }
         let total = weights[..self.count].iter().fold(T::zero(), |sum, &weight| sum + weight);
+        // of three and more close layers the products do not add up to what these hide
         let hidden = T::one() - self.through[self.count];
         (weights, total, if total > T::zero() { hidden / total } else { T::zero() })
     }
@@ -133,6 +135,7 @@ impl<T: Real> Stack<T> {
         if peeling.is_continuous() {
             let sum = |of: &dyn Fn(usize) -> T| (0..self.count).fold(T::zero(), |sum, k| sum + of(k));
             let total = sum(&|k| weights[k]);
+            // one margin for the pixel: layers that change places end their intervals at one depth
             let margin = if total > T::zero() { sum(&|k| weights[k] * self.margin[k]) / total } else { T::zero() };
             let end = |k: usize| self.depth[k] + margin * T::of(1.0 + 0.5 * RAMP);
             // nothing is seen behind a core
@@ -142,6 +145,7 @@ impl<T: Real> Stack<T> {
             if let Some(core) = core {
                 limits[core..layers].fill(end(core));
             }
+            // a margin of 0 has a step, whose slope is finite
             return (limits, T::one() / (T::of(RAMP) * margin).max(T::of(1.0 / STEP)));
         }
         let shifted = |k: usize| self.depth[k] + self.margin[k];
@@ -156,6 +160,7 @@ impl<T: Real> Stack<T> {
                 Peeling::Literal => self.depth[k],
                 _ => shifted(k),
             };
+            // limits ascend, or an interval would be shorter than nothing
             reached = reached.max(end);
             *limit = reached.min(cap);
         }

@@ -44,6 +44,7 @@ fn stack(
         let at = k * pixels + pixel;
         let id = ids[at];
         stack.alpha[k] = alpha[at];
+        // not infinite, as that of a missing layer is: differences of two of them would be NaN
         stack.depth[k] = 0.0f32;
         stack.margin[k] = 0.0f32;
         // selected values would be read without surfels, too
@@ -83,6 +84,7 @@ fn left(stack: &Stack, #[comptime] i: usize, #[comptime] skipped: usize, #[compt
     for j in 0..layers {
         if comptime!(j != i && j != skipped) {
             let (share, _) = behind(stack, i, j);
+            // products of the others, in place of a division by 1 − A, which is 0 for a core
             left *= 1.0f32 - stack.alpha[j] * share;
         }
     }
@@ -145,6 +147,7 @@ fn visibility_kernel(
         if stack.count > 1u32 {
             own = unscaled(&stack, layers);
             let total = sum(&own, layers);
+            // of three and more close layers the products do not add up to what these hide
             let factor = select(total > 0.0f32, (1.0f32 - through) / total, 0.0f32);
             #[unroll]
             for k in 0..layers {
@@ -167,6 +170,7 @@ fn visibility_kernel(
         for k in 0..layers {
             margin += own[k] * stack.margin[k];
         }
+        // one margin for the pixel: layers that change places end their intervals at one depth
         margin = select(total > 0.0f32, margin / total, 0.0f32);
         slope = 1.0f32 / max(comptime!(RAMP as f32) * margin, comptime!(1.0 / STEP as f32));
         #[unroll]
@@ -196,6 +200,7 @@ fn visibility_kernel(
             if comptime!(peeling == Peeling::Literal && k + 1 == layers) {
                 end = infinity;
             }
+            // limits ascend, or an interval would be shorter than nothing
             reached = max(reached, end);
             ends[k] = reached;
         }

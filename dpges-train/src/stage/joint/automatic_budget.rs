@@ -61,11 +61,13 @@ impl JointStage {
                 photograph = fitted.undone(photograph);
             }
             let target = Target { image: quantised(photograph), mask };
+            // an exact picture has an infinite PSNR, which would be the mean of all
             Ok(psnr(quantised(image), target).clamp(0.0, LARGEST_PSNR))
         };
         let views = judging_views(context);
         let psnr: Vec<f64> = pictures(views).map(of_view).collect::<Result<_, _>>()?;
         let mean = psnr.iter().sum::<f64>() / psnr.len() as f64;
+        // the first rank decides for all, which must change the scene alike
         Ok(self.dealt.ranks.of_first(vec![mean])[0])
     }
 
@@ -73,6 +75,7 @@ impl JointStage {
     pub fn choose_layer_count(&mut self, context: &Context) -> Result<String, TrainError> {
         let psnr_before = self.mean_psnr(context)?;
         let mut options = self.render_options(&context.config);
+        // one picture with the most layers shows what any smaller number leaves open
         options.peel.layer_count = MAX_LAYERS;
         let (surfels, gaussians) = self.drawn_values();
         let mut shares = vec![0.0; MAX_LAYERS];
@@ -84,6 +87,7 @@ impl JointStage {
             let open = open_share(&tensor_to_rows(&rendered.seen.transmittance), pixels);
             shares.iter_mut().zip(open).for_each(|(sum, share)| *sum += share / views.len() as f64);
         }
+        // soft rims with nothing behind them fade into the background, and surfels may grow over the picture
         let fewest = if self.info.modulation < HARD_RIM { 2 } else { 1 };
         let (before, after) = (self.info.layer_count, choose(&shares, MOST_OPEN, fewest));
         self.info.layer_count = after;
@@ -107,6 +111,7 @@ impl JointStage {
         let views = dataset.train.iter().chain(&dataset.validation);
         let centres: Vec<[f64; 3]> = views.map(|view| view.camera.centre().to_array()).collect();
         let (surfels, gaussians) = (self.surfels.columns.positions.raw(), self.gaussians.columns.positions.raw());
+        // kept, in case that all of them together cost too much
         let all = [self.surfels.colour(), self.gaussians.colour()];
         let [mut surfel_colour, mut gaussian_colour] = all.clone();
         let drop = |positions: &[f32], colour: &mut ColourData| {
@@ -114,6 +119,7 @@ impl JointStage {
             let found = drop_lobes(colour, lobes, &spare);
             [found.idle as f64, found.folded as f64]
         };
+        // every rank has all surfels, and only its own Gaussians, whose counts are therefore added up
         let of_surfels = drop(&tensor_to_rows(&surfels), &mut surfel_colour);
         let mut of_gaussians = drop(&tensor_to_rows(&gaussians), &mut gaussian_colour);
         self.dealt.ranks.add_up(&mut of_gaussians);

@@ -39,6 +39,7 @@ impl Dealt {
             return Err(format!("column `{OWNERS}` has {} numbers, expected {count}", column.len()));
         }
         let owners: Vec<u16> = column.into_iter().map(|owner| owner as u16).collect();
+        // a run that goes on with another number of ranks deals its Gaussians out anew
         let before = owners.iter().max().map_or(0, |&last| usize::from(last) + 1);
         Ok(if before == ranks.count() { Self { ranks, owners } } else { Self::new(count, ranks) })
     }
@@ -110,6 +111,7 @@ impl Dealt {
         }
         let [rows, width] = own.dims();
         let sum = if rows == 0 { Tensor::zeros([1], (&own.device(), own.dtype())) } else { own.sum() };
+        // the sum over all, not a mean of means: ranks have different numbers of Gaussians
         self.ranks.joined(sum) / (self.len() * width) as f64
     }
 
@@ -129,6 +131,7 @@ impl Dealt {
         self.owners.iter().for_each(|&owner| counts[usize::from(owner)] += 1);
         let mut added = Vec::new();
         for row in 0..edit.added.len() {
+            // every rank deals out all new ones, to the first of those with the fewest: all agree without a message
             let fewest = (0..counts.len()).min_by_key(|&rank| counts[rank]).expect("there are ranks");
             counts[fewest] += 1;
             self.owners.push(fewest as u16);
@@ -150,6 +153,7 @@ pub fn in_order(owners: &[u16], of_ranks: &[Vec<f32>], width: usize) -> Option<V
     for &owner in owners {
         all.extend(rows.get_mut(usize::from(owner))?.next()?);
     }
+    // a rest of rows was dealt to nobody
     (all.len() == of_ranks.iter().map(Vec::len).sum::<usize>()).then_some(all)
 }
 

@@ -21,6 +21,7 @@ const OPAQUE: f32 = 0.9;
 /// Largest difference between the mean and the median depth of a pixel that shows one surface, relative to the median.
 const OF_ONE_DEPTH: f32 = 0.03;
 /// When depths agree: the first rule that finds enough surfels is taken.
+// the strictest first: points that fewer views agree about, or less closely, are less certain
 const RULES: [FusionRule; 3] = [
     FusionRule { tolerance: 0.015, min_views: 3 },
     FusionRule { tolerance: 0.03, min_views: 2 },
@@ -31,6 +32,7 @@ const STRIDE_PX: usize = 6;
 /// The same where there are too few points.
 const CLOSER_PX: [usize; 2] = [4, 3];
 /// The same where there are too many.
+// in steps: a distance that uses up the room was worse on captures than the first of these that fits
 const FARTHER_PX: [usize; 4] = [8, 12, 16, 24];
 /// Enough surfels, as a share of the most. With fewer, next to nothing hides what lies behind, and steps are slow.
 const ENOUGH: f64 = 0.03;
@@ -61,6 +63,7 @@ impl Context {
             if found >= enough {
                 let points = usable_points(&points, most, &mut self.rng);
                 let surfels = surfels_at(points, &dataset, &self.config, &mut self.rng);
+                // surfels from points of one depth may still reach across silhouettes and holes
                 return self.without_wrong_cover(surfels, &depths);
             }
         }
@@ -104,6 +107,7 @@ impl Context {
             view.picture()?.clear_ignored(&mut depth);
             let depth = Arc::new(depth);
             maps.insert(index, Arc::clone(&depth));
+            // evicts now, so that maps beyond the bound are not held beside the next one
             maps.run_pending_tasks();
             Ok(depth)
         };
@@ -135,6 +139,7 @@ fn as_wanted(
 fn certain(ShownDepth { alpha, mean, mut median }: ShownDepth) -> Vec<f32> {
     for (pixel, median) in median.iter_mut().enumerate() {
         let of_one_depth = (mean[pixel] - *median).abs() <= OF_ONE_DEPTH * *median;
+        // NaN is not certain
         if !(alpha[pixel] >= OPAQUE && of_one_depth) {
             *median = 0.0;
         }

@@ -9,6 +9,7 @@ use super::Dealt;
 use crate::config::TrainConfig;
 
 /// Passes of a run over its views up to which none are, and from which on `train.dropout` of them.
+// short runs lose by it at any share; at South Building 179 passes gain 0.3 dB with a fifth
 const PASSES: [f64; 2] = [50.0, 150.0];
 
 /// The share of Gaussians that steps of the joint stage leave out, in a run over `views` training views.
@@ -21,8 +22,10 @@ pub fn share(train: &TrainConfig, views: usize) -> f64 {
 /// left out, and 1 / (1 − share) of the others, so that sums are the same on average.
 pub fn factors(dealt: &Dealt, share: f64, seed: u64, completed: usize, device: &Device) -> Tensor<2> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    // a stream for each step, so that a resumed run leaves out the same ones without a state in the checkpoint
     rng.set_stream(completed as u64);
     let (least, others) = ((share * f64::from(u32::MAX)) as u32, (1.0 / (1.0 - share)) as f32);
+    // drawn for all Gaussians on every rank, so that the number of ranks does not matter
     let all: Vec<f32> = (0..dealt.len()).map(|_| if rng.next_u32() < least { 0.0 } else { others }).collect();
     let own = dealt.own_of(&all, 1);
     let shape = [own.len(), 1];

@@ -149,6 +149,7 @@ impl Stage for JointStage {
     /// Leaves out Gaussians that draw nothing.
     fn scene(&self) -> SceneData {
         let gaussians = self.dealt.all_data(self.drawn_gaussian_data());
+        // an opacity below 1/255 shows in no picture, and only takes space
         let gaussians = gaussians.select(&drawn(&gaussians.opacities));
         let (surfels, environment) = (self.drawn_surfel_data(), environment::to_data(&self.environment));
         SceneData { info: self.info.clone(), surfels, gaussians, environment }
@@ -172,6 +173,7 @@ impl Stage for JointStage {
 
     fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass> {
         let mut own = (self.drawn_surfels(&leaves.surfels), self.drawn_gaussians(&leaves.gaussians));
+        // indoors and on objects leaving out gained nothing
         if leaves.environment.is_some() {
             self.drop_out(&mut own.1, input.completed, context);
         }
@@ -186,9 +188,11 @@ impl Stage for JointStage {
             Some(coefficients) => rendered.in_front_of(input.environment(coefficients)?),
             None => rendered,
         };
+        // last, since an exposure belongs to the photograph, environment included, and not to the scene
         rendered.composite.image = input.photographed(rendered.composite.image);
         rendered.composite.surfel_image = input.photographed(rendered.composite.surfel_image);
         let mut statistics = self.statistics.clone();
+        // on a clone, which only a step that is taken hands back by `observe`
         statistics.observe(
             &rendered,
             own_gaussians,
@@ -204,9 +208,11 @@ impl Stage for JointStage {
             scale: train.lambda_scale,
             transmittance: train.lambda_transmittance,
         };
+        // surfels of other blocks are constants: L_scale is that of this stage's own
         let mut losses = losses(&rendered, own_surfels.log_scales.clone(), input.target.clone(), &weights)?;
         let mask = input.target.mask.as_ref();
         let of_counted = |mean: Tensor<1>| mask.map_or(mean.clone(), |mask| mask.of_counted(mean));
+        // both terms are those of 3DGS-MCMC; scales in extents, so that the unit of the dataset does not matter
         if leaves.environment.is_some() && !self.dealt.is_empty() {
             let opacity = self.dealt.mean(own_gaussians.opacities.clone().abs()) * train.lambda_opacity;
             let scale = self.dealt.mean(own_gaussians.log_scales.clone().exp())
@@ -234,6 +240,7 @@ impl Stage for JointStage {
                 None => supervision,
             };
             let weights = GeometryWeights {
+                // published in world units, of which a fifth of the extent is one here
                 depth: train.lambda_disc_depth / unit_of(self.info.extent),
                 normal: train.lambda_disc_normal,
                 depth_normal: train.lambda_disc_depth_normal,
@@ -260,6 +267,7 @@ impl Stage for JointStage {
             if config.joins_trained(&self.plan) { config.stages.position_share + JOINT * progress } else { progress };
         let (position, decay) = (optimizer.position_rate(travelled, self.info.extent), optimizer.decay_at(progress));
         let gaussians = Rates {
+            // faster positions, rotations and scales gained in this stage; faster colours and opacities did not
             positions: optimizer.joint_geometry * position,
             quaternions: optimizer.joint_geometry * optimizer.quaternions * decay,
             log_scales: optimizer.joint_geometry * optimizer.log_scales * decay,

@@ -48,6 +48,7 @@ impl JointStage {
         if due.gaussian_prune {
             events.push(self.prune_gaussians(context));
         }
+        // after pruning, since a margin is a median over neighbours, and those that left must not count
         if due.margins {
             let surfels = self.drawn_surfel_data();
             let margins = margins(&surfels.positions, &surfels.log_scales, context.config.model.margin);
@@ -61,6 +62,7 @@ impl JointStage {
         if due.drop_lobes {
             events.extend(self.drop_lobes(context)?);
         }
+        // after the margins, which say what is too large
         if due.split {
             events.push(self.split_gaussians(context));
         }
@@ -73,6 +75,7 @@ impl JointStage {
                 NewGaussians::Copies => removed.min(target.saturating_sub(primitives)),
                 NewGaussians::Black => 0,
             };
+            // up to a wanted number, not by one: a sixth of the Gaussians fade between two batches, and are made up for
             let count = replaced + batch_size(target, primitives + replaced, batches);
             events.push(self.add_gaussians(context, count, removed)?);
         }
@@ -106,6 +109,7 @@ impl JointStage {
     }
 
     fn split_gaussians(&mut self, context: &mut Context) -> String {
+        // what draws nothing leaves its room to children
         self.remove_useless(context);
         let surfels = self.surfels.to_data();
         let room = context.budget.saturating_sub(self.primitives());
@@ -142,6 +146,7 @@ impl JointStage {
                 self.edit_gaussians(&GaussianEdit { keep: (0..before).collect(), added }, context);
             }
         }
+        // what was observed is of a scene without the new ones
         self.statistics.reset_gaussians(self.gaussians.len());
         let gone = removed + before.saturating_sub(self.dealt.len());
         let added = self.dealt.len().saturating_sub(before);
@@ -158,6 +163,7 @@ impl JointStage {
         let errors = self.dealt.all_of(self.statistics.errors(), 1);
         let Renewal { rows: keep, opacities, copies } =
             renew(&gaussians, &errors, (target, self.bounds()), true, &mut context.rng);
+        // in two edits, because the shared opacities are those of the rows that stay
         self.edit_gaussians(&GaussianEdit { keep, added: GaussianData::neutral(self.info.colour_model, 0) }, context);
         self.gaussians.set_opacities(&self.dealt.own_of(&opacities, 1));
         let keep = (0..self.dealt.len()).collect();
@@ -179,6 +185,7 @@ impl JointStage {
             let own = Seen::by(view, corrections.get(index))?;
             let rendered = self.render_view(context, view)?;
             let mut error = squared_error(&rendered, &own.target(&context.device));
+            // the environment shows the sky, which a Gaussian there would hide
             if let Some(sky) = &self.sky {
                 sky.clear(index, &own.picture, &mut error);
             }
@@ -209,6 +216,7 @@ impl JointStage {
     fn edit_gaussians(&mut self, edit: &GaussianEdit, context: &Context) {
         let edit = self.dealt.edit(edit);
         self.gaussians.edit(&edit);
+        // limits depend on positions, and rows have changed
         if let Some(limits) = &mut self.limits {
             limits.gaussians.measure(&self.gaussians.columns.positions.raw(), context);
         }

@@ -54,6 +54,7 @@ impl Schedule {
             steps.dedup();
             steps
         };
+        // a surfel that a missing view would have seen must not be pruned for it
         let whole_passes = |steps: Vec<usize>, until: usize| {
             let views = views.max(1);
             let mut steps: Vec<usize> = steps.into_iter().map(|step| step.div_ceil(views) * views).collect();
@@ -75,6 +76,7 @@ impl Schedule {
         let split = every(refine.split_every, refine.split_every, refine.split_until.saturating_add(1));
         let automatic = refine.budget == Budget::Auto;
         Self {
+            // before the first step, too; everything else needs what steps have observed
             margins: run(refine.margins_at.clone(), 0),
             surfel_prune: whole_passes(run(surfel_prune, 1), scaled(refine.surfel_prune_until).saturating_add(1)),
             gaussian_prune: whole_passes(run(gaussian_prune, 1), scaled(refine.gaussian_prune_until)),
@@ -88,6 +90,7 @@ impl Schedule {
 
     /// The number of completed steps, more than `completed_steps`, at which Gaussians are copied next; `None` if none are.
     pub fn next_copies(&self, completed_steps: usize) -> Option<usize> {
+        // what is due now has been done
         let after = |steps: &[usize]| steps.get(steps.partition_point(|&step| step <= completed_steps)).copied();
         let next = [after(&self.add), after(&self.replace)].into_iter().flatten().min();
         next.filter(|_| self.copies)

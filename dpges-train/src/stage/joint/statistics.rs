@@ -86,6 +86,7 @@ impl Statistics {
         target: &Target,
         (schedule, completed_steps): (&Schedule, usize),
     ) -> dpges_core::Result<()> {
+        // once nothing more will be pruned, views need not be observed for it
         let later = |steps: &[usize]| steps.last().is_some_and(|&last| completed_steps < last);
         let [own] = self.max_pixels.dims();
         if own > 0 && later(&schedule.surfel_prune) {
@@ -112,6 +113,7 @@ impl Statistics {
             self.max_contributions = self.max_contributions.clone().max_pair(found);
         }
         if copies {
+            // white: a Gaussian answers for an error by its share of the pixel, whatever its colour
             let white = Tensor::ones([count, 3], (&self.errors.device(), DType::F32));
             let found = contributions(&gaussians, &white, &limits, &(gates * error(render, target)), camera)?;
             self.errors = self.errors.clone() + found;
@@ -133,6 +135,7 @@ fn error(render: &Render, target: &Target) -> Tensor<3> {
 /// [K, H, W] weight of each depth interval in a pixel: T_{k−1} / (1 + W_G).
 fn gates(render: &Render) -> Tensor<3> {
     let layers = render.layers.ids.dims()[0];
+    // what the last layer lets through gates no interval
     let transmittance = render.seen.transmittance.clone().inner().slice_dim(0, 0..layers);
     transmittance / (render.composite.gaussian_weight.clone().inner() + 1.0)
 }

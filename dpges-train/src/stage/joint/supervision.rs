@@ -37,6 +37,7 @@ impl Supervisions {
         let mut views = Vec::with_capacity(dataset.train.len());
         for view in &dataset.train {
             let bytes = NUMBERS * size_of::<f32>() * view.camera.width * view.camera.height;
+            // a view that does not fit leaves its room to smaller ones after it
             let left = room.checked_sub(bytes);
             views.push(left.map(|_| depth_and_normal(&on_device, &view.camera)).transpose()?);
             room = left.unwrap_or(room);
@@ -68,6 +69,7 @@ impl Supervisions {
 
 fn depth_and_normal(discs: &BlendedMaps, camera: &Camera) -> dpges_core::Result<DepthAndNormal> {
     let (Maps { depth, normal, .. }, alpha) = discs.seen_by(camera)?;
+    // where no disc is the normal stays 0, and is not NaN
     let length = (normal.clone() * normal.clone()).sum_dim(0).sqrt().clamp_min(1e-6);
     Ok([tensor_to_rows(&expected_depth(depth, alpha)), tensor_to_rows(&(normal / length))])
 }

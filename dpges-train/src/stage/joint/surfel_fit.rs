@@ -13,6 +13,7 @@ use super::blended_depth::BlendedMaps;
 
 /// Training views in which surfels are looked at.
 const VIEWS: usize = 24;
+// a smaller surfel uncovers those behind it, which the next round looks at
 const ROUNDS: usize = 5;
 /// A surfel covers a pixel if its fragment is the nearest and at least as opaque.
 const COVERS: f32 = 0.5;
@@ -87,6 +88,7 @@ impl Context {
 
     fn covers(&self, surfels: &SurfelData, seen: &[(usize, Vec<f32>)]) -> Result<Vec<Cover>, TrainError> {
         let options =
+            // the nearest surfel alone can cover a pixel
             PeelOptions { layer_count: 1, peeling: Peeling::Nearest, ..(&self.scene_info(Rendering::Peeled)).into() };
         let mut covers = vec![Cover::default(); surfels.len()];
         let surfels = Surfels::from_data(surfels, &self.device, DType::F32);

@@ -138,6 +138,7 @@ impl<T: Real> Projection<T> {
         let length = size.sqrt();
         let per_length = largest / length;
         let [across, down] = magnification.map(|magnification| magnification * per_length);
+        // one factor after the other: their product may overflow or vanish where the result does not
         let crossed = scale(scale(apply_transposed(&rotation, normal), across), down);
         // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
         let minors = times(pairs(relative), crossed);
@@ -385,6 +386,7 @@ fn pairs<T: Real>(scales: V3<T>) -> V3<T> {
 }
 
 /// Differences of the squares of two of three scales, by the axis that is left out.
+// a factor of the difference, not a difference of squares, whose digits cancel for equal scales
 #[inline(always)]
 fn differences<T: Real>([a, b, c]: V3<T>) -> V3<T> {
     [(b - c) * (b + c), (c - a) * (c + a), (a - b) * (a + b)]

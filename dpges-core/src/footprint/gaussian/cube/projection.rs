@@ -139,6 +139,7 @@ pub fn project(
     let length = f32::sqrt(size);
     let per_length = largest / length;
     let (across, down) = (local.magnification_x * per_length, local.magnification_y * per_length);
+    // one factor after the other: their product may overflow or vanish where the result does not
     let crossed = scale(scale(apply(world, local.normal), across), down);
     // det(Σ + εI) = det Σ + ε tr Σ + ε², every term non-negative: no cancellation for needles
     let minors = times(pairs(relative), crossed);
@@ -176,6 +177,7 @@ pub fn pairs(scales: Vec3) -> Vec3 {
 /// Differences of the squares of two of three scales, by the axis that is left out.
 #[cube]
 pub fn differences(s: Vec3) -> Vec3 {
+    // a factor of the difference, not a difference of squares, whose digits cancel for equal scales
     vec3((s.y - s.z) * (s.y + s.z), (s.z - s.x) * (s.z + s.x), (s.x - s.y) * (s.x + s.y))
 }
 
@@ -218,6 +220,7 @@ fn is_shown(view: CameraUniforms, p: Projection) -> bool {
 /// not see, where it stays below the cutoff, and where its projection overflows.
 #[cube]
 pub fn splat_of(view: CameraUniforms, p: Projection, opacity: f32, #[comptime] filter: ScreenFilter) -> (Splat, Rect) {
+    // steps of Adam may push a linear opacity below 0
     let strength = max(opacity, 0.0f32) * compensation(p, filter);
     let d = p.determinant;
     // 3e38 in place of infinity, which WGSL does not have as a constant

@@ -34,6 +34,7 @@ pub fn mark_regions(
             let across = comptime!(region as u32 % REGION_COLUMNS * REGION_WIDTH);
             let down = comptime!(region as u32 / REGION_COLUMNS * REGION_HEIGHT);
             let end = ends[comptime!(region)];
+            // one unit tests an entry for all regions, in place of every pixel for itself
             let seen = splat.depth < end && splat.reaches(left + across, top + down, REGION_WIDTH, REGION_HEIGHT);
             mask |= select(seen, comptime!(1u32 << region), 0u32);
         }

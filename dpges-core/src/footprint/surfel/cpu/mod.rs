@@ -223,6 +223,7 @@ impl Disc {
     /// A depth that no point of the surfel is before, out to a squared radius in σ².
     pub fn nearest(&self, squared_radius: f64) -> f64 {
         let [along_u, along_v] = [0, 1].map(|j| self.scales[j] * column(&self.axes, j)[2]);
+        // an ellipse reaches towards a plane by the root of what its half-axes do, squared and added
         let reach = squared_radius.max(0.0).sqrt() * along_u.hypot(along_v);
         // through a wide lens depths are distances, which are no smaller; in f32 they are rounded
         self.centre[2] - reach - 1e-5 * (reach + self.centre[2].abs())

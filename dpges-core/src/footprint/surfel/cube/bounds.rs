@@ -14,6 +14,7 @@ use crate::gpu::view::{CameraUniforms, pixel_range};
 #[cube]
 fn clipped(x: f32, z: f32, next_x: f32, next_z: f32, near: f32) -> (f32, f32) {
     let own = x / max(z, near);
+    // a side along the near plane is crossed nowhere; its divisor must not be 0
     let share = clamp((near - z) / select(next_z == z, 1.0f32, next_z - z), 0.0f32, 1.0f32);
     let crossing = (x + (next_x - x) * share) / near;
     let front = z > near;

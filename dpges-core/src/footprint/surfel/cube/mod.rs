@@ -177,6 +177,7 @@ pub fn add_sums(
         own[11] -= grad_v * hit.v;
     }
     if comptime!(of_depth) {
+        // depth = distance / facing, so that both terms go to the facing in one sum
         along += pixel.grad_depth * hit.depth;
         towards_distance = pixel.grad_depth / hit.facing;
         own[9] += towards_distance;
@@ -212,6 +213,7 @@ pub struct Disc {
 /// Widens a range by more than the rounding errors of f32, px.
 #[cube]
 pub fn widened(low: f32, high: f32) -> (f32, f32) {
+    // relative, too: tangents of a wide disc lose digits in proportion
     let slack = 0.05f32 + 1e-4f32 * (high - low);
     (low - slack, high + slack)
 }

@@ -163,11 +163,13 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
         let opacity = parameters.opacity.as_f64();
         let visible = disc.centre[2] > camera.near && opacity > CUTOFF;
         visible.then(|| {
+            // rounding must not cut off a pixel that reaches the cutoff
             let squared_radius = 2.0 * (opacity / CUTOFF).ln() * (1.0 + 1e-5);
             let mut reach = disc.reach(camera, squared_radius);
             let low_pass = BoxCentre::new(&disc).map_or([NOWHERE; 2], |centre| {
                 let offset = [camera.fx * centre.offset[0], camera.fy * centre.offset[1]];
                 let (x, y) = (disc.plane.anchor[0] + offset[0], disc.plane.anchor[1] + offset[1]);
+                // ρ = 2 |d|², so that a distance in px counts twice
                 let radius = (0.5 * squared_radius).sqrt();
                 let bounds = [x - radius, x + radius, y - radius, y + radius];
                 reach = union(reach, PixelRect::covering(bounds, camera.width, camera.height));
@@ -215,6 +217,7 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
         let (on_disc, on_screen) = (u.mul_add(u, v * v), self.squared_on_screen(dx, dy));
         let squared = Lanes::select(on_screen.below(on_disc), on_screen, on_disc);
         let weight = Lanes::splat(dx.simd(), self.strength) * (all(-0.5) * squared).exp_nonpositive();
+        // edge-on z is infinite or NaN; 0 is before the near plane, and not drawn
         let depth = z.only(all(MIN_FACING).below(facing.abs()));
         let drawn = weight.at_least(all(CUTOFF)) & Lanes::splat(dx.simd(), self.near).below(depth);
         Drawn::new(drawn, weight, depth)
@@ -225,6 +228,7 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
         let (dx, dy, power, blended) = (group.dx, group.dy, group.power, group.blended);
         let all = |value: T| Lanes::splat(dx.simd(), value);
         let [u, v, _, facing] = self.plane.meet(dx, dy);
+        // the comparison of `draw` the other way round: the gradient goes to the term that was drawn
         let by_disc = blended & self.squared_on_screen(dx, dy).at_least(u.mul_add(u, v * v));
         // what is not blended may be infinite
         let inverse = (all(T::one()) / facing).only(blended);
@@ -261,10 +265,12 @@ impl<T: Real> Projected<T> for DiscFootprint<T> {
         let camera = &view.exact;
         let disc = disc_of(camera, parameters);
         let quaternion = parameters.quaternion.map(T::as_f64);
+        // in f64 from here on, since an edge-on disc magnifies rounding errors
         let sum: [f64; 12] = std::array::from_fn(|i| sums.footprint[i].as_f64());
         let linear = |first: usize, unit: f64| {
             [sum[first] / unit, sum[first + 1] / (camera.fx * unit), sum[first + 2] / (camera.fy * unit)]
         };
+        // u and v fall as their scales rise: ∂u / ∂ ln s = −u
         let shrinking = |function: V3<f64>, first: usize| -dot(function, [sum[first], sum[first + 1], sum[first + 2]]);
         let grad = DiscGrad {
             u: linear(1, disc.scales[0]),

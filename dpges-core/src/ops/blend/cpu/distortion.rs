@@ -46,9 +46,11 @@ impl<T: Real> Spread<T> {
         let first = Lanes::load(simd, &self.first[start..]);
         let second = Lanes::load(simd, &self.second[start..]);
         let inverse = all(T::one()) / depth;
+        // 1 / z is never 0, which therefore stands for no fragment so far
         let fresh = blended & all(T::zero()).at_least(reference);
         let reference = Lanes::select(fresh, inverse, reference);
         let m = (all(self.slope) * (reference - inverse)).only(blended);
+        // Σ w of the fragments before is 1 − T, and T before this one is what it leaves and what it covers
         let before = all(T::one()) - (through + covered);
         let growth = covered * (m * m * before + second - all(T::of(2.0)) * m * first);
         reference.store(&mut self.reference[start..]);

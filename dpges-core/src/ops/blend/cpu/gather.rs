@@ -136,6 +136,7 @@ impl<T: Real> WayBack<'_, T> {
         let (first, second) = (of_pixel(&self.spread.first), of_pixel(&self.spread.second));
         let (reference, total) = (of_pixel(&self.spread.reference), of_pixel(&self.alpha));
         let (slope, two) = (all(self.slope), all(T::of(2.0)));
+        // the depth of what is not blended may be 0
         let inverse = (all(T::one()) / depth).only(blended);
         let m = slope * (reference - inverse);
         let apart = m * m * total + second - two * m * first;
@@ -170,8 +171,10 @@ impl<T: Real> WayBack<'_, T> {
         let behind = Lanes::load(simd, &self.behind[start..]);
         let alpha = capped(weight, self.max_alpha).only(blended);
         let passed = all(T::one()) - alpha;
+        // α is capped below 1, so that a division recovers T
         let before = through / passed;
         let covered = alpha * before;
+        // a capped α does not change with its exponent
         let free = weight.abs().below(all(self.max_alpha));
         before.store(&mut self.progress.through[start..]);
         alpha.mul_add(own, passed * behind).store(&mut self.behind[start..]);
@@ -197,6 +200,7 @@ impl<T: Real, F: Projected<T>> WithSimd for GatherTile<'_, T, F> {
     fn with_simd<S: Simd>(self, simd: S) -> Vec<T> {
         let (of_colour, of_maps) = self.grad.split_at(COLOUR_PLANES * TILE_PIXELS);
         let reached = |grad: &[T]| grad.iter().any(|&value| value != T::zero());
+        // losses of most stages look at no maps, and masks leave tiles without any gradient
         if reached(of_maps) {
             self.gather::<S, true>(simd)
         } else if reached(of_colour) {
@@ -245,6 +249,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
 
     #[inline(always)]
     fn by_centres<S: Simd, const MAPS: bool>(&self, simd: S) -> Vec<T> {
+        // front to back once more: where pixels end is not kept, and 1 − alpha has lost the digits of a small T
         let mut spread = Spread::new(self.tile.slope);
         let progress = walk_tile(
             simd,
@@ -293,6 +298,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
         let mut way = self.way_back(Progress::ended(through), spread);
         let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; entries];
         for (pixel, order) in orders.iter().enumerate() {
+            // entries have the number 0 in this order, so that this end blends them all
             way.progress.end[pixel] = T::one();
             for &position in order.iter().rev() {
                 let (_, entry) = self.entry::<MAPS>(position, T::zero());
@@ -358,13 +364,16 @@ fn gather<T: Real, F: Projected<T>>(
         let tile = Tile { sorted, camera, number: tile, thresholds: &thresholds, slope, order: options.order };
         vectorised(GatherTile { tile, grad, layout })
     };
+    // the sums of all tiles at once would take several numbers for every entry of every list
     for first_tile in (0..sorted.grid.len()).step_by(BATCH) {
         let batch = first_tile..sorted.grid.len().min(first_tile + BATCH);
         let parts: Vec<Vec<T>> = batch.clone().into_par_iter().map(of_tile).collect();
         sums.par_chunks_mut(CHUNK * width).enumerate().for_each(|(chunk, sums)| {
             let ids = chunk * CHUNK..chunk * CHUNK + sums.len() / width;
+            // tiles in their order, whatever thread is first: the same bits with any number of threads
             for (tile, parts) in batch.clone().zip(&parts) {
                 let list = sorted.lists.of(tile);
+                // lists ascend, so that a task finds its own primitives without going through those of others
                 let from = list.partition_point(|&id| (id as usize) < ids.start);
                 let parts = parts.get(from * width..).unwrap_or_default();
                 let entries = list[from..].iter().map(|&id| id as usize).zip(parts.chunks_exact(width));

@@ -94,6 +94,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
                 for lane in 0..T::lane_count::<S>() {
                     let (weight, depth) = (weights[lane], depths[lane]);
                     let (column, line) = (origin.0 + start % TILE + lane, origin.1 + start / TILE);
+                    // tiles at the right and lower borders have pixels outside the image
                     if weight > T::zero() && column < grid.width && line < grid.height {
                         visit(start + lane, Fragment { position: position as u32, weight, depth });
                     }
@@ -127,6 +128,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
         }
         let mut leaving = Some(found);
         if self.transparency != Transparency::Tail && found.weight >= T::of(CORE_ALPHA) {
+            // <= leaves what came first before others of the same depth
             let at = pixel.core[..pixel.len].partition_point(|kept| kept.depth <= found.depth);
             if at < CORE {
                 leaving = (pixel.len == CORE).then(|| pixel.core[CORE - 1]);
@@ -182,11 +184,13 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
             }
             weights.through = through;
             if through < self.tile.thresholds.min_transmittance {
+                // the tail is hidden as well
                 weights.through = zero;
                 break;
             }
         }
         if pixel.alpha > zero && weights.through > zero {
+            // together the tail covers 1 − Π (1 − α), as it would in any order
             weights.share = through * (one - pixel.through) / pixel.alpha;
             through = through * pixel.through;
             for (sum, value) in weights.sums.iter_mut().zip(pixel.payload) {
@@ -222,6 +226,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
             if MAPS {
                 set(DEPTH_PLANE, sums[Z]);
                 (0..3).for_each(|c| set(NORMAL_PLANE + c, sums[NORMAL + c]));
+                // a variance cannot be negative, but its two terms cancel, and rounding may leave them so
                 set(DISTORTION_PLANE, (weights.total * sums[M + 1] - sums[M] * sums[M]).max(T::zero()));
                 set(MEDIAN, self.median_depth(pixel, &weights));
             }
@@ -239,6 +244,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
             self.for_each_fragment(position, |at, found| {
                 let (pixel, back) = (&pixels[at], &back[at]);
                 let in_core = pixel.core[..pixel.len].iter().any(|kept| kept.position == found.position);
+                // without a share the pixel has ended within its core, or has no tail
                 if !in_core && back.share > T::zero() {
                     let alpha = self.alpha(&found);
                     let own = weighted(&back.coefficients, &self.payload::<MAPS>(&found, pixel.reference));

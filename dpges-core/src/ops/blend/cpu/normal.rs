@@ -7,6 +7,7 @@ use crate::math::{CameraOf, M3, V3, apply, apply_transposed, column, dot, rotati
 /// −1 if the axis points away from the camera, else 1, and the axis in camera axes.
 fn oriented<T: Real>(camera: &CameraOf<T>, parameters: &Parameters<T>, axis: usize) -> (T, V3<T>) {
     let normal = apply(&camera.rotation, column(&rotation(parameters.quaternion), axis));
+    // an axis and its opposite are the same Gaussian; the choice is a step, without a gradient
     let away = dot(normal, camera.transform(parameters.position)) > T::zero();
     (if away { -T::one() } else { T::one() }, normal)
 }

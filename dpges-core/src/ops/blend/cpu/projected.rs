@@ -134,6 +134,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync + 'static {
     /// Which axis is the normal: that with the smallest scale.
     fn normal_axis(parameters: &Parameters<T>) -> usize {
         let size = |axis: usize| parameters.log_scales[axis].as_f64();
+        // the first of equal scales, as on GPUs
         (0..3).min_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap_or(0)
     }
 
@@ -154,6 +155,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync + 'static {
     fn reach(&self, grid: TileGrid) -> PixelRect;
 
     /// Whether α can reach the cutoff at some pixel of the tile in a column and a row.
+    // discs and what rays meet have no test that is finer than their rectangle
     #[inline(always)]
     fn touches(&self, _: usize, _: usize) -> bool {
         true
@@ -167,6 +169,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync + 'static {
 
     /// Factor on the sums of the probe: half the image in x and y for gradients per px.
     fn probe_units(camera: &Camera) -> [T; 4] {
+        // half the image is 1 in normalised device coordinates, for which 3DGS gives its threshold
         let [half_width, half_height] = [camera.width, camera.height].map(|size| T::of(0.5 * size as f64));
         [half_width, half_height, half_width, half_height]
     }
@@ -178,6 +181,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync + 'static {
 /// Adds gradients in x and y to a probe.
 #[inline(always)]
 pub fn add_to_probe<T: Real, S: Simd>(probe: &mut [Lanes<T, S>], grad_x: Lanes<T, S>, grad_y: Lanes<T, S>) {
+    // sums of absolute values, too: gradients of opposite signs cancel over a large primitive (AbsGS)
     if let [x, y, size_x, size_y] = probe {
         (*x, *y) = (*x + grad_x, *y + grad_y);
         (*size_x, *size_y) = (*size_x + grad_x.abs(), *size_y + grad_y.abs());

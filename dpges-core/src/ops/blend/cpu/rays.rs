@@ -42,6 +42,7 @@ impl<V: Copy + Default, const N: usize> Queue<V, N> {
     /// Takes the value with the smallest key if the queue is full, and adds another behind those of the same key.
     fn push(&mut self, key: f64, value: V) -> Option<V> {
         let first = if self.len == N { self.pop() } else { None };
+        // `total_cmp` has a place for NaN as well, so that the queue stays sorted
         let at = self.keys[..self.len].partition_point(|other| other.total_cmp(&key).is_le());
         self.keys.copy_within(at..self.len, at + 1);
         self.values.copy_within(at..self.len, at + 1);
@@ -125,6 +126,7 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T, Scalar>)> Walk<'a, T, V> 
         let along = self.along(position);
         for block in 0..BLOCKS * BLOCKS {
             let first = [self.origin.0 + block % BLOCKS * BLOCK, self.origin.1 + block / BLOCKS * BLOCK];
+            // blocks whose pixels have all ended take nothing more
             if self.open[block] > 0 && along.splat.reaches(first, [BLOCK; 2]) {
                 let key = along.depth(self.rays[0][block]).as_f64();
                 if let Some(leaving) = self.blocks[block].push(key, position) {
@@ -154,6 +156,7 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T, Scalar>)> Walk<'a, T, V> 
             let [u, v] = along.splat.in_deviations(dx, dy);
             let weight = along.splat.weight(u, v);
             let depth = along.depth(self.rays[2][pixel]);
+            // t* below 0 lies behind the camera
             if weight > T::zero()
                 && depth >= T::zero()
                 && let Some(leaving) = self.pixels[pixel].queue.push(depth.as_f64(), (position, weight))
@@ -164,10 +167,12 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T, Scalar>)> Walk<'a, T, V> 
     }
 
     fn blend(&mut self, at: usize, (position, weight): (u32, T)) {
+        // maps have the depth of the centre in either order; t* only sorts
         let depth = self.along(position).splat.depth;
         let pixel = &mut self.pixels[at];
         let alpha = weight.min(self.thresholds.max_alpha);
         let behind = pixel.through * (T::one() - alpha);
+        // before the fragment, so that T stays above the least (3DGS)
         if behind < self.thresholds.min_transmittance {
             pixel.open = false;
             self.open[block_of(at)] -= 1;
@@ -180,6 +185,7 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T, Scalar>)> Walk<'a, T, V> 
 
     /// Empties all queues.
     fn finish(&mut self) {
+        // blocks first: what leaves them passes through the queues after them
         for block in 0..BLOCKS * BLOCKS {
             while let Some(leaving) = self.blocks[block].pop() {
                 self.leave_block(block, leaving);

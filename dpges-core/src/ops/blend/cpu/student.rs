@@ -40,6 +40,7 @@ impl<T: Real> Projected<T> for Student<T> {
 
     #[inline(always)]
     fn touches(&self, tile_x: usize, tile_y: usize) -> bool {
+        // the ellipse at the cutoff; the square within which kernels are drawn already bounds the rectangle
         self.ellipse.touches(tile_x, tile_y)
     }
 
@@ -57,6 +58,7 @@ impl<T: Real> Projected<T> for Student<T> {
             unreachable!("two sums");
         };
         *of_power = *of_power + group.power;
+        // with the term of the logarithm, which the published kernel leaves out
         *of_degrees = group.power.mul_add(by_degrees, *of_degrees);
         add_to_ellipse(self.ellipse.root, group, group.power * by_squared, moments, sums.probe);
         if MAPS {

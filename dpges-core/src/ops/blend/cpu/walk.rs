@@ -60,6 +60,7 @@ impl<T: Real, F: Projected<T>> Sorted<T, F> {
             }
         };
         let rects: Vec<PixelRect> = footprints.par_iter().map(|footprint| footprint.reach(grid)).collect();
+        // ids are places in the sorted order, so that ascending lists run front to back
         let lists = bin(&rects, grid, |i, tx, ty| footprints[i].touches(tx, ty));
         Self { rows, footprints, normals, along, rects, grid, lists }
     }
@@ -111,6 +112,7 @@ impl<T: Real> Thresholds<T> {
 #[inline(always)]
 pub fn capped<T: Real, S: Simd>(weight: Lanes<T, S>, max_alpha: T) -> Lanes<T, S> {
     let all = |value: T| Lanes::splat(weight.simd(), value);
+    // on both sides: negative α takes colour away (SSS); below 1 in size, since the way back divides by 1 − α
     weight.min(all(max_alpha)).max(all(-max_alpha))
 }
 
@@ -181,12 +183,14 @@ pub fn walk_tile<T: Real, F: Projected<T>, S: Simd>(
     let all = |value: T| Lanes::splat(simd, value);
     let (one, least) = (all(T::one()), all(thresholds.min_transmittance));
     for (entry, &id) in list.iter().enumerate() {
+        // a look reads all pixels of the tile
         if entry.is_multiple_of(LOOK_EVERY) && progress.last_end(simd) <= entry {
             break;
         }
         let id = id as usize;
         let footprint = &sorted.footprints[id];
         let entry = T::of(entry as f64);
+        // 3DGS ends before the fragment that would take T below the least, HTGS behind it
         let end_here = all(if thresholds.ends_behind { entry + T::one() } else { entry });
         for_each_lanes(
             simd,
@@ -202,6 +206,7 @@ pub fn walk_tile<T: Real, F: Projected<T>, S: Simd>(
                     return;
                 }
                 let through = Lanes::load(simd, &progress.through[start..]);
+                // what is not drawn has any finite weight: masks below keep it out of sums
                 let alpha = capped(weight, thresholds.max_alpha);
                 let behind = through * (one - alpha);
                 let goes_on = behind.at_least(least);

@@ -73,6 +73,7 @@ impl<T: Real> Projected<T> for WhitenedFootprint<T> {
     }
 
     fn probe_units(_: &Camera) -> [T; 4] {
+        // half the depth takes the place of half the image (HTGS)
         [T::of(0.5); 4]
     }
 

@@ -91,6 +91,7 @@ pub fn go_back(
     #[comptime] maps: bool,
 ) -> Back {
     let alpha = max(min(found.weight, thresholds.max_alpha), -thresholds.max_alpha);
+    // α is capped below 1, so that a division recovers T
     let before = through / (1.0f32 - alpha);
     let covered = alpha * before;
     let mut grad_depth = 0.0f32;

@@ -28,6 +28,7 @@ const PARTS: usize = SHARE as usize / FOLD;
 /// Sums of the probe: Σ x, Σ y, Σ |x|, Σ |y|.
 pub const PROBE: usize = 4;
 /// Sums that a cube folds at a time.
+// 12 numbers of 256 units take 12 of the 16 KiB of workgroup memory that WebGPU guarantees
 pub const GROUP: usize = 12;
 const _: () = assert!(ENTRIES as usize * NUMBERS <= GROUP, "the memory to fold in holds what a pixel says");
 
@@ -86,6 +87,7 @@ pub fn list_in_band(offsets: &[u32], tile: u32, first_tile: u32) -> (TileList, u
         range[1] = offsets[(tile + 1u32) as usize];
         range[2] = offsets[first_tile as usize];
     }
+    // WGSL allows barriers in a loop over the list only if its bounds are uniform
     let start = workgroup_uniform_load(&range[0]);
     let length = workgroup_uniform_load(&range[1]) - start;
     let slot = start - workgroup_uniform_load(&range[2]);
@@ -221,6 +223,7 @@ fn add_pixel(
         }
     }
     if comptime!(layout.probe && layout.form != Form::Whitened) {
+        // normalised device coordinates, for which 3DGS gives its threshold
         let ndc_x = towards_x * f32::cast_from(view.width) * 0.5f32;
         let ndc_y = towards_y * f32::cast_from(view.height) * 0.5f32;
         own[probe] += ndc_x;
@@ -262,10 +265,12 @@ pub fn fold_entries(
             let other = step * SHARE + member;
             let at = entry as usize * NUMBERS * UNITS as usize + other as usize;
             let signed = partial[at + UNITS as usize];
+            // a pixel without a fragment covers 0
             if signed != 0.0f32 {
                 let mut covered = f32::abs(signed);
                 let mut by_plane = select(signed > 0.0f32, 1.0f32, 0.0f32);
                 if comptime!(layout.form == Form::Students) {
+                    // the sign is that of α: students have no low-pass filter that it could tell from
                     covered = signed;
                     by_plane = 1.0f32;
                 }

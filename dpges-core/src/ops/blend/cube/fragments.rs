@@ -79,6 +79,7 @@ record! {
 pub fn normal_axis(log_scales: Vec3, #[comptime] form: Form) -> u32 {
     let mut axis = 2u32;
     if comptime!(form != Form::Discs) {
+        // <= finds the first of equal scales, as the CPU does
         let first = log_scales.x <= log_scales.y && log_scales.x <= log_scales.z;
         let later = 2u32 - u32::cast_from(log_scales.y <= log_scales.z);
         axis = select(first, 0u32, later);
@@ -141,6 +142,7 @@ fn features_kernel(
         // centre of the box relative to the projected centre, without cancellation of large numbers
         let bulk = LOW_PASS_SQUARED_RADIUS * (a.z * a.z + b.z * b.z) - centre.z * centre.z;
         let bounded = visible && bulk < 0.0f32;
+        // both values of `select` are computed, so that the divisor must not be 0
         let factor = LOW_PASS_SQUARED_RADIUS / select(bounded, bulk, -1.0f32);
         let depth = select(visible, centre.z, 1.0f32);
         let (slope_x, slope_y) = (centre.x / depth, centre.y / depth);
@@ -185,6 +187,7 @@ fn reach_kernel(
     let x = view.fx * disc.anchor_ray.x + view.cx + low_pass.offset_x;
     let y = view.fy * disc.anchor_ray.y + view.cy + low_pass.offset_y;
     // exp(−ρ / 2) with ρ = 2 |d|²
+    // and a little more, since near 8192 px an f32 has steps of 0.001 px
     let radius = f32::sqrt(0.5f32 * squared) + 0.01f32;
     let (x0, x1) = pixel_range(x - radius, x + radius, view.width);
     let (y0, y1) = pixel_range(y - radius, y + radius, view.height);
@@ -237,6 +240,7 @@ fn on_disc(plane: Plane, low_pass: LowPass, x: f32, y: f32, near: f32) -> Fragme
     let dy = y - plane.anchor_y - low_pass.offset_y;
     let on_disc = found.u * found.u + found.v * found.v;
     let on_screen = 2.0f32 * (dx * dx + dy * dy);
+    // bounded, since an edge-on disc is met far away and devices may assume that no number is infinite
     let alpha = low_pass.opacity * f32::exp(max(-0.5f32 * min(on_disc, on_screen), -100.0f32));
     let drawn = f32::abs(found.facing) > MIN_FACING && found.depth > near && alpha >= CUTOFF_F32;
     Fragment {
@@ -378,6 +382,7 @@ impl Fragments {
         let (shapes, rects) = match form {
             Form::Ellipsoids => splat_cube::splats(gaussians, Some(order), camera, filter),
             Form::Students => {
+                // how far a kernel reaches does not depend on its sign
                 let magnitudes = magnitudes(gaussians);
                 let (ellipses, _) = splat_cube::splats(&magnitudes, Some(order), camera, ScreenFilter::Off);
                 let of_kernels = [&gaussians.opacities, degrees_of_freedom, order];
@@ -415,11 +420,13 @@ impl Fragments {
 /// that order.
 fn lists(order: CubeTensor, found: &Pairs, keys: Option<CubeTensor>, grid: TileGrid) -> BlendLists<CubeBackend> {
     let (client, count) = (order.client.clone(), found.primitives.shape()[0]);
+    // the numbers of the pairs are sorted along, so that the way back finds the slot of every pair
     let numbers = empty_u32(&order, [count]);
     numbers_kernel::launch(&client, units(count), cube_dim(), buffer(&numbers), count as u32);
     let (pairs, offsets) = match keys {
         None => found.by_tile(&numbers, grid),
         Some(keys) => {
+            // both sorts are stable: sorted by key and then by tile, each tile has the order of its keys
             let (_, numbers) = sorted_pairs(keys, numbers, u32::BITS);
             by_tile(picked(&found.tiles, &numbers), numbers, grid)
         }
@@ -463,5 +470,6 @@ pub fn discs(gaussians: &GaussianTensors<CubeBackend>) -> DiscTensors<'_> {
 fn unlimited(like: &CubeTensor, tiles: usize) -> CubeTensor {
     use burn::backend::ops::FloatTensorOps;
     use burn::tensor::{FloatDType, Shape};
+    // in sorted blending no depth ends a tile
     CubeBackend::float_full(Shape::from([tiles]), f32::MAX.into(), &like.device, FloatDType::F32)
 }

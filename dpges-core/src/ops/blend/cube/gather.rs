@@ -271,7 +271,9 @@ fn collect_kernel(
     }
     let sum = total(&own, count, taken);
     if sum.present {
+        // one cube adds all slots of a primitive, in a fixed order: the same bits in every run
         let at = order[sum.primitive] as usize * taken + sum.number;
+        // a new buffer has any contents
         if first_tile == 0u32 {
             sums[at] = sum.value;
         } else {
@@ -283,6 +285,7 @@ fn collect_kernel(
 /// Ranges of tiles whose slots of `width` numbers fit a buffer: `most` of them. [Exceeds](exceed) the capacity if those of
 /// one tile do not.
 fn bands(offsets: &CubeTensor, pairs: usize, tiles: usize, most: usize, width: usize) -> Vec<Range<usize>> {
+    // offsets are on the device: only where one buffer does not do, the host waits for them
     if pairs <= most {
         return std::iter::once(0..tiles).collect();
     }
@@ -327,6 +330,7 @@ pub fn gather(
     let room = pairs.min(most);
     let slots = empty_f32(grad, [room, width]);
     let said = (options.order == BlendOrder::Rays).then(|| Said::new(grad, room, tiles, layout.maps));
+    // in two launches: all sums of the primitives of a cube exceed its 16 KiB of workgroup memory
     let parts = [(0, layout.shape()), (layout.shape(), layout.rest())];
     let sums = parts.map(|(_, taken)| empty_f32(grad, [count, taken]));
     for band in bands(&lists.offsets, pairs, tiles, most, per_entry) {

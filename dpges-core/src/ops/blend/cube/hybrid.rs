@@ -122,6 +122,7 @@ pub fn find_core(
     #[comptime] transparency: Transparency,
     #[comptime] maps: bool,
 ) -> Core {
+    // only constants index these arrays, so that they stay in registers
     let mut depths = Array::<f32>::new(CORE);
     let mut weights = Array::<f32>::new(CORE);
     let mut positions = Array::<u32>::new(CORE);
@@ -145,10 +146,12 @@ pub fn find_core(
             tail[REFERENCE] = select(tail[REFERENCE] == 0.0f32, 1.0f32 / depth, tail[REFERENCE]);
             #[expect(clippy::collapsible_if, reason = "the outer condition is known before")]
             if comptime!(transparency != Transparency::Tail) {
+                // < leaves what came first before others of the same depth
                 if weight >= LEAST_ALPHA && depth < depths[comptime!(CORE - 1)] {
                     let mut moves = false;
                     #[unroll]
                     for place in 0..CORE {
+                        // `select` in place of branches: the units of a cube insert at different places
                         moves = moves || depth < depths[place];
                         let (other_depth, other_weight) = (depths[place], weights[place]);
                         let other = positions[place];
@@ -207,6 +210,7 @@ pub fn weigh(
     }
     sums[BEHIND] = select(open, through, 0.0f32);
     if open && tail[ALPHA] > 0.0f32 {
+        // together the tail covers 1 − Π (1 − α), as it would in any order
         let share = through * (1.0f32 - tail[THROUGH]) / tail[ALPHA];
         sums[SHARE] = share;
         #[unroll]
@@ -257,6 +261,7 @@ pub fn blend_pixel(
             for axis in 0..3usize {
                 planes[pixel + (5 + axis) * plane] = sums[NORMAL + axis];
             }
+            // a variance cannot be negative, but its two terms cancel, and rounding may leave them so
             planes[pixel + 8 * plane] = max(sums[TOTAL] * sums[M + 1] - sums[M] * sums[M], 0.0f32);
             median_depth[pixel] = sums[MEDIAN];
         }
@@ -399,6 +404,7 @@ pub fn gather_mixed(
                         if weight > 0.0f32 {
                             let alpha = min(weight, thresholds.max_alpha);
                             let value = weighted(&coefficients, features, i, depth, reference, slope, maps);
+                            // divided by its own 1 − α, the product over the tail is that over the others
                             let through = max(1.0f32 - alpha, LEAST_THROUGH);
                             let grad_alpha = of_tail.share * (value - of_tail.mean) + of_tail.of_through / through;
                             power = select(weight < thresholds.max_alpha, alpha * grad_alpha, 0.0f32);

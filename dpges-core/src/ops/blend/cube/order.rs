@@ -28,6 +28,7 @@ fn keys_kernel(positions: &[f32], keys: &mut [u32], order: &mut [u32], view: Cam
         terminate!();
     }
     let centre = to_camera(view, row3(positions, i));
+    // bits of positive floats ascend like the floats; what is behind the camera is not drawn
     keys[i] = u32::reinterpret(view_depth(view, centre));
     order[i] = i as u32;
 }
@@ -47,6 +48,7 @@ pub fn depth_order(positions: &CubeTensor, camera: &Camera) -> CubeTensor {
         CameraUniforms::launch(camera),
         count as u32,
     );
+    // stable: equal depths keep the order of their indices
     sorted_pairs(keys, order, u32::BITS).1
 }
 
@@ -54,6 +56,7 @@ pub fn depth_order(positions: &CubeTensor, camera: &Camera) -> CubeTensor {
 #[cube]
 pub fn sort_key(value: f32) -> u32 {
     let bits = u32::reinterpret(value);
+    // of negative numbers all bits are flipped, since the larger ones in size are the smaller ones
     bits ^ select(bits >= SIGN, NO_KEY, SIGN)
 }
 

@@ -56,9 +56,11 @@ fn outweighing_kernel(
             let behind = through * (1.0f32 - alpha);
             let goes_on = behind >= thresholds.min_transmittance;
             if alpha * through >= least {
+                // idempotent: many units may mark one primitive, in any order
                 marks[order[i] as usize].fetch_max(1i32);
             }
             through = behind;
+            // the fragment that takes T below the least is still blended: the pixel ends behind it
             last = select(goes_on, last, 0u32);
             entry += 1u32;
         }
@@ -70,6 +72,7 @@ fn outweighing_kernel(
         weigh(&mut core, &tail, &mut sums, features, list, ids, thresholds, false);
         #[unroll]
         for k in 0..CORE {
+            // an empty place covers 0, which is below the threshold
             if core.covered[k] >= least {
                 let i = list.entry(ids, core.positions[k]) as usize;
                 marks[order[i] as usize].fetch_max(1i32);

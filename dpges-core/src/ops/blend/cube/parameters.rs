@@ -53,11 +53,13 @@ fn payload_kernel(
     }
     if comptime!(layout.form == Form::Discs) {
         let (opacity, power) = (opacities[i], rest[o + exponent]);
+        // both values of `select` are computed, so that the divisor must not be 0
         grad_opacities[i] = select(opacity > 0.0f32, power / max(opacity, 1e-30f32), 0.0f32);
     }
     if comptime!(layout.form == Form::Students) {
         let (opacity, power) = (opacities[i], rest[o + exponent]);
         let drawn = power != 0.0f32;
+        // an opacity may be negative here, so that no maximum keeps the divisor away from 0
         grad_opacities[i] = select(drawn, power / select(drawn, opacity, 1.0f32), 0.0f32);
         grad_degrees[i] = rest[o + degrees];
     }
@@ -116,6 +118,7 @@ fn rest_kernel(
         let (scale_u, scale_v) = (bounded_scale(log_scales.x), bounded_scale(log_scales.y));
         let (a, b) = (scale(axes.row0, scale_u), scale(axes.row1, scale_v));
         let bulk = K * (a.z * a.z + b.z * b.z) - centre.z * centre.z;
+        // as forward: a disc that reaches the plane of the camera has no low-pass filter
         if bulk < 0.0f32 {
             let inverse = 1.0f32 / bulk;
             // centre of the box: slopes (K (aᵢ a_z + bᵢ b_z) − cᵢ c_z) / bulk
@@ -156,6 +159,7 @@ fn rest_kernel(
         row1: apply(back, vec3(of_axes[3], of_axes[4], of_axes[5])),
         row2: apply(back, vec3(of_axes[6], of_axes[7], of_axes[8])),
     };
+    // added, since the kernel of the shape has written its part before
     let turned = rotation_backward(quaternion, transpose(columns));
     grad_quaternions[4 * i] += turned.w;
     grad_quaternions[4 * i + 1] += turned.x;

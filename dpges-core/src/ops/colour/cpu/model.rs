@@ -24,8 +24,10 @@ const VANISHED: f64 = 87.0;
 #[inline(always)]
 fn softplus<T: Real>(raw: T) -> (T, T) {
     let x = T::of(SHARPNESS) * raw;
+    // the exponential of a negative number on either side, which cannot overflow
     let decay = if x.abs() < T::of(VANISHED) { (-x.abs()).exp_nonpositive() } else { T::zero() };
     let value = (x.max(T::zero()) + decay.ln_1p_share()) / T::of(SHARPNESS);
+    // written by `decay` on both sides: 1 − 1 / (1 + d) would cancel
     let sigmoid = if x >= T::zero() { T::one() / (T::one() + decay) } else { decay / (T::one() + decay) };
     (value, sigmoid)
 }
@@ -53,6 +55,7 @@ impl<T: Real> Lobe<T> {
         let cosine = sin_theta * across + cos_theta * d[2];
         let (exponent, lit) = if cosine > T::zero() {
             let exponent = T::of(4.0) * raw[5].min(T::of(LARGEST_BETA)).exp();
+            // only on the lit side: a power of a negative cosine is NaN
             (exponent, cosine.powf(exponent))
         } else {
             (T::zero(), T::zero())
@@ -89,6 +92,7 @@ pub fn lobes_backward<T: Real>(raw: &[T], d: V3<T>, grad: V3<T>, out: &mut [T]) 
             continue;
         };
         let brightness = (0..3).map(|c| grad[c] * lobe.rgb[c].0).sum::<T>();
+        // no second power; a lobe that is lit has a positive cosine
         let grad_cosine = brightness * lobe.exponent * lobe.lit / lobe.cosine;
         for c in 0..3 {
             out[c] = grad[c] * lobe.lit * lobe.rgb[c].1;
@@ -135,6 +139,7 @@ pub fn higher_harmonics<T: Real>(raw: &[T], before: usize, d: V3<T>) -> V3<T> {
 #[inline(always)]
 pub fn higher_harmonics_backward<T: Real>(before: usize, d: V3<T>, grad: V3<T>, out: &mut [T]) {
     for (out, y) in out.chunks_exact_mut(3).zip(&harmonics(d)[before..]) {
+        // directions carry no gradient to positions
         out.copy_from_slice(&scale(grad, *y));
     }
 }

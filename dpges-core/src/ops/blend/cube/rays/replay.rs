@@ -72,6 +72,7 @@ fn replay_kernel(
     }
     let (list, slot) = list_in_band(offsets, tile, first_tile);
     let numbers = comptime!(said_numbers(maps));
+    // pixels write into the slots of what they blended only, and a new buffer has any contents
     for position in 0..list.length {
         #[unroll]
         for number in 0..numbers {
@@ -95,9 +96,11 @@ fn replay_kernel(
     let mut through = state[THROUGH];
     let mut behind = -of.alpha;
     let mut last = state[LAST];
+    // no barrier from here on, since pixels have blended different numbers of fragments
     while last >= 0.0f32 {
         let position = u32::cast_from(last);
         let at = said_at(slot + position, numbers);
+        // the slot holds the position of the fragment before, until the way back overwrites it with what it says
         last = said[at];
         let i = list.entry(ids, position) as usize;
         let found = on_ellipse(Splat::load(table, i * ROW), own.x, own.y);

@@ -188,6 +188,7 @@ pub fn walk_rays(
                         let mut moves = at > 0u32;
                         while moves {
                             let before = (ring + (head + at - 1u32) % BLOCK_QUEUE) as usize;
+                            // `>` and not `>=`: equal keys leave in the order in which they came
                             moves = keys[before] > key;
                             if moves {
                                 let behind = (ring + (head + at) % BLOCK_QUEUE) as usize;
@@ -211,10 +212,12 @@ pub fn walk_rays(
                 }
             }
             counts[unit] = leaving;
+            // open pixels set it again at the end of the round, so that ended blocks take nothing more
             is_open[unit].store(0u32);
         }
         sync_cube();
         let leaving = counts[block as usize];
+        // every queue after a block delays what enters it by as many places as it has
         let emptied = leaving + select(round == batches, comptime!((QUAD_QUEUE + PIXEL_QUEUE) as u32), 0u32);
         let mut step = 0u32;
         while step < emptied && open {
@@ -238,6 +241,7 @@ pub fn walk_rays(
                 let mut moves = false;
                 #[unroll]
                 for place in 0..QUAD_QUEUE {
+                    // < and not <=: equal keys leave in the order in which they came
                     moves = moves || key < quad_keys[place];
                     let (other_key, other) = (quad_keys[place], quad_positions[place]);
                     quad_keys[place] = select(moves, key, other_key);
