@@ -13,7 +13,7 @@ use crate::tiles::TileGrid;
 #[derive(CubeType, CubeLaunch, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct CameraUniforms {
-    /// From world to camera axes.
+    /// Rotation from world to camera axes.
     pub rotation: Mat3,
     pub translation: Vec3,
     /// Camera centre in world units.

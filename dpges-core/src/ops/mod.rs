@@ -15,7 +15,7 @@
 //! | `autodiff.rs` | the operation on Burn's tape, and what it keeps for the way back, which the kernels implement |
 //! | `tests.rs` | what only this operation needs; `fixtures.rs` has what several need |
 //!
-//! A file that grew too long has a folder of its name beside it. To add an operation, copy the shape of
+//! A file that grew too long has a folder of its name beside it. A new operation copies the shape of
 //! `colour`, the smallest that has them all. Operations use the rooms below them: `binning`, below that
 //! `footprint`, below that `gpu` and `tiles`. None of these knows an operation.
 //!

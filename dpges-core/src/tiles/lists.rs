@@ -28,8 +28,8 @@ impl Drop for Scope {
 /// is dropped and it is called again, and this time every length is waited for. Either way the result is, to the bit, the
 /// one it would have had outside.
 ///
-/// `work` may thus be called twice, and must leave nothing behind by which the second call could tell. On a CPU it is called
-/// once: lists in host memory always have room.
+/// `work` may thus be called twice, and must be idempotent: the second call must not see the first one. On a CPU it is
+/// called once: lists in host memory always have room.
 pub fn defer_readback<T>(mut work: impl FnMut() -> T) -> T {
     let scope = Scope(PENDING.replace(Some(Vec::new())));
     let result = work();

@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use crate::dataset::EmptySpace;
 
-/// Of `rows`, those whose `positions` [M × 3] (world units) are not in the `empty` space around cameras; all of them if all are
-/// in it.
+/// The `rows` whose `positions` [M × 3] (world units) are not in the `empty` space around cameras; all of them if all
+/// are in it.
 pub fn without_floaters(empty: &EmptySpace, rows: Vec<usize>, positions: &[f32]) -> Vec<usize> {
     let (positions, _) = positions.as_chunks::<3>();
     let kept: Vec<usize> = rows.par_iter().copied().filter(|&row| !empty.contains(positions[row])).collect();

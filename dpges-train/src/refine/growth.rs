@@ -4,8 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use super::add::geometric_batch_size;
 
-/// Batches in a row before which the views that judge are no better than before an earlier one, after which growth ends: half of
-/// those in the schedule. In short runs a few views vary by 0.4 dB from batch to batch while they improve.
+/// Patience of early stopping: growth ends after so many batches in a row without a better PSNR of the views that
+/// judge, half of those in the schedule. In short runs a few views vary by 0.4 dB from batch to batch while they
+/// improve.
 const PATIENCE: usize = 5;
 
 /// The history of growth. It is part of a checkpoint.

@@ -17,7 +17,7 @@ const MAX_RELOCATED: f64 = 0.05;
 pub struct Relocated {
     /// [N'] the old row of which a row has position, rotation and colour.
     pub rows: Vec<usize>,
-    /// [N'] from 0 to 1, or from −1 to 1 of Student's t kernels.
+    /// [N'] from 0 to 1, or from −1 to 1 for Student's t kernels.
     pub opacities: Vec<f32>,
     /// [N' × 3] natural logarithm of the scales, world units.
     pub log_scales: Vec<f32>,

@@ -6,18 +6,18 @@
 //! metrics.jsonl             losses, PSNR and counts along the run, see `run::metrics_log`
 //! scene.safetensors         the scene at the last checkpoint, then the result
 //! checkpoint.safetensors    what `--resume` continues from
-//! checkpoint.json           in its place, of a run on several ranks: the newest two generations, see `run::shards`
+//! checkpoint.json           in its place for a run on several ranks: the newest two generations, see `run::shards`
 //! checkpoint_N_R_of_RANKS.safetensors  the part of rank R in generation N
 //! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`)
 //! stage_NAME.json           its evaluation, like eval.json
 //! exposure.json             gain and offset of every training view in that scene, if exposures are corrected
 //! poses.json                where every training camera is in that scene, if their poses are refined
 //! best.safetensors          the best scene so far by the validation views, if they end the run
-//! SCENE_exposure.json       the same of the scene in file SCENE.safetensors, `best` or of a stage
-//! SCENE_poses.json          likewise
+//! SCENE_exposure.json       the same for the scene in file SCENE.safetensors, `best` or of a stage
+//! SCENE_poses.json          poses.json for that scene
 //! eval.json                 the evaluation of the finished run, see `eval::EvalReport`
 //! target.json               what the run is to reach, and what is expected of it, if there is a target
-//! validation.json           the same of the views that were kept for decisions, if there are any
+//! validation.json           the evaluation of the views that were kept for decisions, if there are any
 //! pictures/step_N_VIEW.png  photograph · render · surfels only · error
 //! ```
 

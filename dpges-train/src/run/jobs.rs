@@ -56,7 +56,7 @@ pub fn lock(folder: &Path, name: &str) -> Result<File, Error> {
 
 /// A job of Slurm, or an array of jobs.
 pub struct Job {
-    /// Of its files.
+    /// Name of its files.
     pub name: &'static str,
     /// Number of jobs of an array, numbered from 0 by `$SLURM_ARRAY_TASK_ID`; `None` for one job.
     pub count: Option<usize>,

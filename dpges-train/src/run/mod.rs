@@ -142,7 +142,8 @@ impl Run {
         }
     }
 
-    /// Makes the run write to `folder` from now on. Of several ranks the first writes all but its parts of checkpoints.
+    /// Makes the run write to `folder` from now on. The first of several ranks writes all files, the others their parts
+    /// of checkpoints.
     ///
     /// # Errors
     /// [`RunError::Folder`] if the folder holds another run or cannot be written.

@@ -44,9 +44,9 @@ type Result<T, E = SceneError> = std::result::Result<T, E>;
 /// How the dataset of a scene is read.
 #[derive(Clone, Debug, Default)]
 pub struct Reading {
-    /// Instead of that of the scene.
+    /// The background in place of that of the scene.
     pub background: Option<Background>,
-    /// Likewise.
+    /// The upward direction in place of that of the dataset.
     pub up: Option<Upwards>,
     /// Keys of `[data]`, as `key=value`.
     pub assignments: Vec<String>,
@@ -58,7 +58,7 @@ pub struct Scene {
     pub data: SceneData,
     pub bytes: u64,
     run: Option<RunFolder>,
-    /// Whether the file says all of the scene: of splats of other programs a dataset knows more.
+    /// Whether the file says all of the scene: a dataset knows more about splats of other programs.
     own: bool,
     /// Whether datasets are read for pinhole cameras alone.
     pinhole: bool,

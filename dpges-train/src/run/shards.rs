@@ -1,4 +1,4 @@
-//! The checkpoint of a run on several ranks: a file of each, and a manifest that names them.
+//! The sharded checkpoint of a run on several ranks: a file for each, and a manifest that names them.
 //!
 //! A rank writes its file; once all have, the first writes the manifest, in which the files before stay named. So a kill at any
 //! moment leaves a generation that is whole. The files of rank 0 hold all but the Gaussians of other ranks.
@@ -29,7 +29,7 @@ struct Generation {
     /// One more than that of the generation before.
     number: u64,
     step: usize,
-    /// Of the ranks in their order.
+    /// The files of the ranks, in the order of these.
     shards: Vec<Shard>,
 }
 

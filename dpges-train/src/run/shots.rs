@@ -19,13 +19,13 @@ const FRAMES: usize = 120;
 /// A way of cameras.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PathChoice {
-    /// Those of a dataset.
+    /// The views of a dataset.
     Views,
     /// A smooth path through them.
     Interpolated,
     Orbit,
     Spiral,
-    /// Of another program, or of the window.
+    /// A file of another program, or of the window.
     File(PathBuf),
 }
 
@@ -63,7 +63,7 @@ pub enum ShotsError {
 /// A picture that is to be taken.
 pub struct Shot {
     pub camera: Camera,
-    /// Of its file.
+    /// Stem of the name of its file.
     pub stem: String,
     /// Name of the view in the dataset, of the camera in its file, or number of the frame.
     pub name: String,

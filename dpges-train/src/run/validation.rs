@@ -1,4 +1,4 @@
-//! When a run that validation views judge has learnt enough.
+//! Early stopping: when a run that validation views judge has learnt enough.
 
 use serde::{Deserialize, Serialize};
 

@@ -36,7 +36,7 @@ pub struct StageCheckpoint {
     pub attributes: HashMap<String, ParameterRows>,
     /// Further numbers by name.
     pub columns: BTreeMap<String, Vec<f32>>,
-    /// [N] see [`Statistics`]; empty in stages without surfels.
+    /// [N] as in [`Statistics`]; empty in stages without surfels.
     pub max_pixels: Vec<u32>,
 }
 

@@ -18,13 +18,13 @@ pub enum TrainError {
     /// The loss was not finite. No parameter has learnt from it.
     #[error("step {step}, view `{view}`: the loss is {loss}; the step was not taken")]
     Loss { step: usize, view: String, loss: f64 },
-    /// The device failed at or before this step: what it holds is worth nothing.
+    /// The device failed at or before this step: its contents are worth nothing.
     #[error("step {step}: the device failed: {reason}")]
     Device { step: usize, reason: String },
     /// A step failed on one rank of several: it is not known how far the others are.
     #[error("rank {rank}: {source}")]
     OnRank { rank: usize, source: Box<Self> },
-    /// What all ranks should have alike is not the same.
+    /// Ranks differ in what all of them should have alike.
     #[error(
         "step {step}: rank {rank} does not have the surfels that the others have, to the bit: train on devices of one kind \
          with one driver, or with one process for each kind"

@@ -55,7 +55,7 @@ pub trait Stage: Send {
     /// The scene as it stands. All ranks ask for it together.
     fn scene(&self) -> SceneData;
 
-    /// The ranks that its Gaussians are dealt out to; one alone where every rank has all of them.
+    /// The ranks over which its Gaussians are sharded; one alone where every rank has all of them.
     fn ranks(&self) -> Arc<dyn Ranks> {
         Arc::new(Alone)
     }
@@ -95,7 +95,7 @@ pub trait Stage: Send {
         Ok(())
     }
 
-    /// All that [`resume`] needs to go on with this stage, on the host: of Gaussians that are dealt out, the own ones.
+    /// All that [`resume`] needs to go on with this stage, on the host, with the own ones of sharded Gaussians.
     fn checkpoint(&self) -> StageCheckpoint;
 
     /// Leaves what it has trained to the stages after it. The last stage leaves nothing.

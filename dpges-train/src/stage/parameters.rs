@@ -31,7 +31,7 @@ pub struct Leaves {
     raw_gaussians: Gaussians,
 }
 
-/// Gradients of surfels, Gaussians, the environment and the weighted sum; of what a stage does not have none.
+/// Gradients of surfels, Gaussians, the environment and the weighted sum; none for what a stage does not have.
 pub struct ParameterGradients([GradientList; 4]);
 
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -184,8 +184,8 @@ impl Context {
         Ok(())
     }
 
-    /// Gaussians of a method alone in a file, which `most` may not exceed: those of a scene that was blended as they are, and of
-    /// others what shows the same when it is sorted.
+    /// Gaussians in a file for a method that trains them alone, at most `most`: those of a blended scene as they are,
+    /// those of others changed so that they show the same when they are sorted.
     ///
     /// # Errors
     /// [`TrainError::Pretrained`].
@@ -213,7 +213,8 @@ impl Context {
     }
 }
 
-/// `colour` as near as `model` can have it: harmonics of another degree, lobes as harmonics, and of harmonics the base colour.
+/// `colour` as near as `model` can have it: harmonics of another degree, lobes as harmonics, harmonics by their base
+/// colour.
 fn recoloured(colour: &ColourData, model: ColourModel) -> ColourData {
     match (colour.model.without_opacity(), model) {
         (found, model) if found == model => ColourData { model, ..colour.clone() },

@@ -49,7 +49,7 @@ impl SamplingLimit {
         Gaussians { opacities: gaussians.opacities.clone() * dimming, log_scales, ..gaussians.clone() }
     }
 
-    /// `surfels` as they are drawn, likewise.
+    /// `surfels` as they are drawn, with gradients as in [`smoothed`](Self::smoothed).
     pub fn smoothed_surfels(&self, surfels: &Surfels) -> Surfels {
         Surfels { log_scales: self.widened(&surfels.log_scales), ..surfels.clone() }
     }

@@ -11,7 +11,7 @@ pub(crate) mod tensors;
 /// quantile of ν + 1 to that of ν, and falls back.
 pub(crate) const STUDENT_REACH: [f64; 13] =
     [63.657, 9.925, 5.841, 4.604, 4.032, 3.707, 3.499, 3.355, 3.250, 3.169, 3.106, 3.055, 3.012];
-/// The same for larger ν.
+/// The reach for larger ν.
 pub(crate) const STUDENT_LEAST_REACH: f64 = 3.0;
 /// Least difference, squared, of an eigenvalue of a projected covariance to their mean, px⁴ (3DGS).
 pub(crate) const STUDENT_LEAST_SPREAD: f64 = 0.1;

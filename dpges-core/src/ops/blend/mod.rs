@@ -69,9 +69,10 @@
 //!
 //! The *probe* is a [M, 4] tensor that no value depends on. Its gradient is Σ g_x, Σ g_y, Σ |g_x|, Σ |g_y|
 //! over the pixels, where (g_x, g_y) is a pixel's gradient with respect to the projected centre in units
-//! of half the image. 3DGS, 2DGS (only from hits with the disc) and AbsGS base densification on it. Of [`Form::Whitened`] it is
-//! Σ g_x, Σ g_y, Σ g_z, Σ (|g_x| + |g_y| + |g_z|), where g is a pixel's gradient with respect to the centre in camera axes
-//! times half its depth (HTGS: the norm of the sum of g, and the last with g in world axes).
+//! of half the image. 3DGS, 2DGS (only from hits with the disc) and AbsGS base densification on it. For
+//! [`Form::Whitened`] it is Σ g_x, Σ g_y, Σ g_z, Σ (|g_x| + |g_y| + |g_z|), where g is a pixel's gradient with respect
+//! to the centre in camera axes times half its depth (HTGS: the norm of the sum of g, and the last with g in world
+//! axes).
 //!
 //! [`Transparency::Nearest`]: crate::scene::Transparency::Nearest
 //! [`Transparency::Tail`]: crate::scene::Transparency::Tail

@@ -5,7 +5,7 @@
 //! lobes (DBS) or, for spherical harmonics, the higher bands (3DGS).
 //! d is the unit vector from the camera to the primitive, in world axes.
 //!
-//! A detail in several tensors is added tensor by tensor: of all but the first, the base is the colour of those before.
+//! A detail in several tensors is added tensor by tensor: the base of all but the first is the colour of those before.
 //!
 //! Gradients: to base and detail. The direction passes none to the position (DP-GES, DBS).
 

@@ -24,9 +24,9 @@ const MAX_COEFFICIENTS: usize = EnvironmentData::coefficient_count(EnvironmentDa
 
 /// Vectors along the rays of pixels, in world axes.
 enum Directions<T> {
-    /// By rows; of (x, y, 1), px.
+    /// A matrix by rows, applied to (x, y, 1), px.
     Linear(M3<T>),
-    /// In camera axes, with the rotation of the camera.
+    /// Rays in camera axes, with the rotation of the camera.
     Bent { rays: Rays, camera_from_world: M3<T>, width: usize },
 }
 

@@ -34,7 +34,7 @@ fn uniform(word: u32) -> f64 {
 
 /// Three standard normal numbers (Box and Muller).
 pub(super) fn normals(words: [u32; 4]) -> DVec3 {
-    // of four normal numbers three are needed
+    // the fourth normal number is not needed
     let [a, b, c, d] = words.map(uniform);
     let (first, second) = ((-2.0 * a.ln()).sqrt(), (-2.0 * c.ln()).sqrt());
     DVec3::new(first * (TAU * b).cos(), first * (TAU * b).sin(), second * (TAU * d).cos())

@@ -8,7 +8,7 @@ use super::{PeelOps, PeelOptions, PeelOutput, PeelState, SurfelShapes};
 use crate::backend::tape::{WayBackFromAll, all_on_tape};
 use crate::camera::Camera;
 
-/// Of alpha and depth.
+/// Gradients with respect to alpha and to depth.
 pub type Grads<B> = [Option<FloatTensor<B>>; 2];
 
 impl<B: PeelOps, S: CheckpointStrategy> PeelOps for Autodiff<B, S>

@@ -147,9 +147,9 @@ fn peel_kernel(
                     core_depth = found.depth;
                     core_id = own_id;
                 }
+                // <= since of equal depths the index decides, in `insert`
                 #[expect(clippy::collapsible_if, reason = "the outer condition is known before")]
                 if comptime!(others > 0) {
-                    // <= since of equal depths the index decides, in `insert`
                     if depth <= slots.depth[others - 1] && id != NONE {
                         insert(&mut slots, depth, alpha, id, others);
                     }

@@ -7,7 +7,7 @@
 //! Where pixels do not count, the photograph shows what the image does: they are equal there, no window across the border of
 //! a mask sees an edge that only one of them has, and what the photograph shows there is of no effect.
 //!
-//! Gradient: of the weighted sum to the image, 0 where pixels do not count; the photograph has none.
+//! Gradient: from the weighted sum to the image, 0 where pixels do not count; the photograph has none.
 
 mod autodiff;
 mod cpu;

@@ -6,7 +6,7 @@
 //!
 //! The mean is found relative to the largest scale: scales of surfels that no view sees shrink until their exponentials are 0.
 //!
-//! Gradient: of the weighted loss to the log-scales.
+//! Gradient: from the weighted loss to the log-scales.
 
 mod autodiff;
 mod cpu;

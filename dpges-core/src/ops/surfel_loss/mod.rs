@@ -4,8 +4,8 @@
 //! L_t = `(1 − T_K)²` averaged over all pixels, with the transmittance T [K + 1, H, W] behind the last layer, where a pixel has
 //! at least two layers: ids [K, H, W] of its second one is not −1 (DP-GES). Means are those over the pixels that count.
 //!
-//! Gradients: of the weighted sum of the two to the surfels' image and to the transmittance. Both have none where pixels do
-//! not count, and a term of weight 0 has none at all.
+//! Gradients: from the weighted sum of the two to the surfels' image and to the transmittance. Both have none where
+//! pixels do not count, and a term of weight 0 has none at all.
 
 mod autodiff;
 mod cpu;

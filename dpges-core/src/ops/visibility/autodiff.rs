@@ -8,7 +8,7 @@ use super::{VisibilityInput, VisibilityOps, VisibilityOutput, VisibilityState};
 use crate::backend::tape::{WayBackFromAll, all_on_tape};
 use crate::scene::Peeling;
 
-/// Of weights and transmittance.
+/// Gradients with respect to weights and to transmittance.
 pub type Grads<B> = [Option<FloatTensor<B>>; 2];
 
 impl<B: VisibilityOps, S: CheckpointStrategy> VisibilityOps for Autodiff<B, S>

@@ -105,7 +105,7 @@ impl<T: Real> Stack<T> {
             *weight = self.alpha[i] * self.left(i, i);
         }
         let total = weights[..self.count].iter().fold(T::zero(), |sum, &weight| sum + weight);
-        // of three and more close layers the products do not add up to what these hide
+        // the products of three and more close layers do not add up to what these hide
         let hidden = T::one() - self.through[self.count];
         (weights, total, if total > T::zero() { hidden / total } else { T::zero() })
     }

@@ -147,7 +147,7 @@ fn visibility_kernel(
         if stack.count > 1u32 {
             own = unscaled(&stack, layers);
             let total = sum(&own, layers);
-            // of three and more close layers the products do not add up to what these hide
+            // the products of three and more close layers do not add up to what these hide
             let factor = select(total > 0.0f32, (1.0f32 - through) / total, 0.0f32);
             #[unroll]
             for k in 0..layers {

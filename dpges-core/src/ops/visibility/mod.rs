@@ -70,7 +70,7 @@ pub trait VisibilityOps: Backend {
     fn visibility(#[extension_type] input: VisibilityInput<Self>, peeling: Peeling) -> VisibilityOutput<Self>;
 }
 
-/// What is seen of the layers of a view.
+/// The visibility of the layers of a view, and of what lies behind them.
 #[derive(Clone, Debug)]
 pub struct Visibility {
     /// [K, H, W] share of each layer in the surfel image
@@ -89,7 +89,7 @@ impl Visibility {
     }
 }
 
-/// What is seen of `layers`, for `margins` [N, 1] of the surfels.
+/// The visibility of `layers`, for `margins` [N, 1] of the surfels.
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the layers' tensors do not agree.

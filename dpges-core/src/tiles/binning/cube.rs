@@ -26,7 +26,7 @@ pub struct CubeLists {
     pub capacity: u32,
 }
 
-/// Data of Gaussians that excludes tiles within their rectangles.
+/// Data of Gaussians for culling: it excludes tiles within their rectangles.
 pub struct Ellipses<'a> {
     /// [M, [`SPLAT`]]
     pub splats: &'a CubeTensor,

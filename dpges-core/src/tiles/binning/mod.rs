@@ -1,4 +1,4 @@
-//! Binning: for every tile of an image, the list of the primitives that can touch it.
+//! Binning and culling: for every tile of an image, the list of the primitives that can touch it.
 //!
 //! Lists ascend by index.
 

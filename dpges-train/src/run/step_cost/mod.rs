@@ -57,7 +57,7 @@ pub struct StepCost {
     pub width: usize,
     pub height: usize,
     pub steps: usize,
-    /// Of steps one after another, as in a run: the host prepares a step while a GPU works on the one before.
+    /// Median of steps one after another, as in a run: the host prepares a step while a GPU works on the one before.
     pub median_ms: f64,
     /// 95 % of the steps took no longer.
     pub p95_ms: f64,
@@ -69,7 +69,7 @@ pub struct StepCost {
     pub gpu: Option<GpuWork>,
 }
 
-/// Takes steps and measures them: first the times, then, of a step that is waited for, all else.
+/// Takes steps and measures them: first the times, then everything else, in a step that is waited for.
 pub fn measure(steps: &mut Steps, rounds: Rounds) -> Result<StepCost, TrainError> {
     (0..rounds.warm_up).try_for_each(|_| steps.step())?;
     let (peak, count) = (PeakMemory::start(), rounds.counted.max(1));
@@ -98,7 +98,7 @@ pub fn measure(steps: &mut Steps, rounds: Rounds) -> Result<StepCost, TrainError
     })
 }
 
-/// Of each step, ms.
+/// The time of each step, ms.
 fn times(steps: &mut Steps, count: usize) -> Result<Vec<f64>, TrainError> {
     // a GPU works on this one when the clock starts
     steps.step()?;

@@ -28,23 +28,23 @@ const SHORTEST_CAP: usize = 100;
 /// the factor that of all intervals it stands for.
 const DECAY_EVERY: usize = 50;
 const DECAY: f64 = 0.9995;
-/// Steps at which Gaussians go that no training view needs (HTGS).
+/// Steps at which Gaussians that no training view needs are removed (HTGS).
 const UNNEEDED_AT: [usize; 2] = [16_000, 24_000];
 
-/// Something of every change.
+/// One value for every kind of change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Changes<T> {
     pub densify: T,
-    /// Of resets of opacities.
+    /// Resets of opacities.
     pub reset: T,
-    /// Of limits to opacities.
+    /// Limits to opacities.
     pub cap: T,
     pub relocate: T,
-    /// Of measurements of the sampling limit, besides whenever Gaussians come or go.
+    /// Measurements of the sampling limit, besides whenever Gaussians come or go.
     pub measure: T,
-    /// Of the decay of opacities.
+    /// The decay of opacities.
     pub decay: T,
-    /// Of the removal of Gaussians that no training view needs.
+    /// The removal of Gaussians that no training view needs.
     pub prune: T,
 }
 

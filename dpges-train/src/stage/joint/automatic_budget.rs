@@ -29,7 +29,7 @@ const MOST_LOST: f64 = 0.01;
 
 impl JointStage {
     /// The number of primitives that the scene is to have from now on, before the first of `batches_left` batches or, with
-    /// `None`, when there are no more. With a sentence if that is decided now.
+    /// `None`, when there are no more; and a sentence, if that is decided now.
     pub fn grow(
         &mut self,
         context: &Context,

@@ -15,7 +15,7 @@ pub struct BlendedMaps {
     options: BlendedOptions,
 }
 
-/// One view, [H × W] each.
+/// The depths of one view, [H × W] each.
 pub struct ShownDepth {
     /// 1 − T, from 0 to 1.
     pub alpha: Vec<f32>,
@@ -33,7 +33,7 @@ impl BlendedMaps {
         Ok(Self { gaussians: Gaussians::from_data(gaussians, device, DType::F32), options })
     }
 
-    /// With alpha, [1, H, W].
+    /// The maps of a view, and alpha [1, H, W].
     pub fn seen_by(&self, camera: &Camera) -> dpges_core::Result<(Maps, Tensor<3>)> {
         let blend = render_blended(&self.gaussians, None, camera, &self.options, Values::KnownFinite)?.blend;
         Ok((blend.maps.expect("maps were asked for"), blend.alpha))

@@ -1,4 +1,4 @@
-//! Which rank has which Gaussians of a scene.
+//! Sharding: which rank has which Gaussians of a scene.
 //!
 //! Refinement decides on the columns of all Gaussians, which it gathers, with random numbers that all ranks draw alike: every rank
 //! comes to the same edit of the whole scene, and applies what concerns its own Gaussians. Gaussians that stay keep their rank; new
@@ -23,7 +23,7 @@ pub struct Dealt {
 }
 
 impl Dealt {
-    /// `count` Gaussians, dealt out one by one.
+    /// Shards `count` Gaussians over the ranks, one by one.
     pub fn new(count: usize, ranks: Arc<dyn Ranks>) -> Self {
         let owners = (0..count).map(|row| (row % ranks.count()) as u16).collect();
         Self { ranks, owners }
@@ -44,7 +44,7 @@ impl Dealt {
         Ok(if before == ranks.count() { Self { ranks, owners } } else { Self::new(count, ranks) })
     }
 
-    /// The column that [`from_column`](Self::from_column) takes; `None` of a rank alone.
+    /// The column that [`from_column`](Self::from_column) takes; `None` for a rank alone.
     pub fn column(&self) -> Option<(&'static str, Vec<f32>)> {
         let column = || self.owners.iter().map(|&owner| f32::from(owner)).collect();
         (!self.ranks.is_alone()).then(|| (OWNERS, column()))
@@ -69,7 +69,7 @@ impl Dealt {
         self.ranks.rank() as u16
     }
 
-    /// Of `all` rows `[n × width]`, those of this rank.
+    /// The rows of this rank among `all` rows `[n × width]`.
     pub fn own_of(&self, all: &[f32], width: usize) -> Vec<f32> {
         if self.ranks.is_alone() {
             return all.to_vec();
@@ -77,7 +77,7 @@ impl Dealt {
         self.own().into_iter().flat_map(|row| &all[row * width..][..width]).copied().collect()
     }
 
-    /// Of the parameters of all, those of this rank.
+    /// The rows of this rank among the parameters of all Gaussians.
     pub fn own_rows(&self, all: &ParameterRows) -> Result<ParameterRows, String> {
         if all.count != self.len() {
             return Err(format!("{} rows of a parameter do not fit {} Gaussians", all.count, self.len()));
@@ -115,7 +115,7 @@ impl Dealt {
         self.ranks.joined(sum) / (self.len() * width) as f64
     }
 
-    /// Applies an edit of all Gaussians. Returns what it is to the own ones.
+    /// Applies an edit of all Gaussians. Returns the edit of the own ones.
     pub fn edit(&mut self, edit: &GaussianEdit) -> GaussianEdit {
         if self.ranks.is_alone() {
             self.owners = vec![0; edit.keep.len() + edit.added.len()];

@@ -1,5 +1,5 @@
-//! Gaussians that steps leave out at random (DropGaussian). Long runs over few photographs of an open scene learn each of
-//! them by heart, by Gaussians that serve a single view.
+//! Gaussians that steps leave out at random (DropGaussian). Long runs on few outdoor photographs overfit: single
+//! Gaussians come to explain single views.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use rand::{Rng, SeedableRng};
@@ -8,7 +8,8 @@ use rand_chacha::ChaCha8Rng;
 use super::Dealt;
 use crate::config::TrainConfig;
 
-/// Passes of a run over its views up to which none are, and from which on `train.dropout` of them.
+/// Passes over the training views: runs of up to the first leave none out, runs from the second on `train.dropout` of
+/// them.
 // short runs lose by it at any share; at South Building 179 passes gain 0.3 dB with a fifth
 const PASSES: [f64; 2] = [50.0, 150.0];
 

@@ -249,7 +249,7 @@ pub fn squared_error(rendered: &Render, target: &Target) -> Vec<f32> {
     })
 }
 
-/// `count` dealt out to `views`: equal numbers, and the remainder to views in a row from a random one on.
+/// Shares of `count` for `views`: equal numbers, and the remainder for views in a row from a random one on.
 fn shares(count: usize, views: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
     let first = rng.random_range(0..views);
     (0..views).map(|view| count / views + usize::from((view + views - first) % views < count % views)).collect()

@@ -59,7 +59,7 @@ impl Statistics {
         self.max_pixels = Self::new(count, 0, &self.max_pixels.device()).max_pixels;
     }
 
-    /// Keeps what was observed of the Gaussians that stay; nothing was of the `added` ones.
+    /// Keeps what was observed of the Gaussians that stay; the `added` ones begin with nothing.
     pub fn edit_gaussians(&mut self, keep: &[usize], added: usize) {
         let edited = |values: Vec<f32>| {
             keep.iter().map(|&row| values[row]).chain(std::iter::repeat_n(0.0, added)).collect::<Vec<f32>>()

@@ -41,7 +41,7 @@ impl Cover {
         self.wrong as f32 / self.pixels.max(1) as f32
     }
 
-    /// On both scales: the area that is covered rightly stays.
+    /// Factor on both scales that leaves the area that is covered rightly.
     fn factor(self) -> f32 {
         let share = self.wrong_share();
         if share > FEW { (1.0 - share).sqrt().max(LEAST_FACTOR) } else { 1.0 }

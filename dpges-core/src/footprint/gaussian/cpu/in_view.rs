@@ -12,11 +12,11 @@ use crate::tiles::{PixelRect, TileGrid};
 
 /// Gaussians projected by one task.
 const CHUNK: usize = 1024;
-/// In the place of a Gaussian that is not seen.
+/// Stands for the place of a Gaussian that is not seen.
 pub const UNSEEN: u32 = u32::MAX;
 
-/// Sorted by the tile in which their rectangle begins, so that what lies side by side in the image does so in memory: the
-/// sums of neighbours are in a cache that those of the whole image do not fit in.
+/// Gaussians after culling, by the tile in which their rectangle begins. What lies side by side in the image does so in
+/// memory: the sums of neighbours are in a cache that those of the whole image do not fit in.
 pub struct InView<T> {
     /// Row of each in the parameters.
     pub rows: Vec<u32>,

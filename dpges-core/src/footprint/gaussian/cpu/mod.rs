@@ -56,7 +56,7 @@ pub struct Splat<T> {
 /// Sums over the pixels of a Gaussian.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SplatGrad<T> {
-    /// With g the gradient of the exponent: Σ g, Σ g u, Σ g v, Σ g u², Σ g u v, Σ g v².
+    /// Σ g, Σ g u, Σ g v, Σ g u², Σ g u v, Σ g v², with g the gradient of the exponent.
     pub moments: [T; MOMENTS],
     pub colour: V3<T>,
 }

@@ -165,7 +165,7 @@ impl<T: Real> Whitened<T> {
         (drawn, [weight, Lanes::select(drawn, depth, all(self.depth))])
     }
 
-    /// From the gradients of the exponent and of the depth of the fragments at offsets from the mean, px.
+    /// Gradients at offsets from the mean, px, from those of the exponent and of the depth of the fragments there.
     #[inline(always)]
     pub fn pixel_backward<S: Simd>(
         &self,

@@ -1,4 +1,4 @@
-//! From the moments of the pixels of one Gaussian to the gradients of its parameters, on the device.
+//! Gradients of the parameters of one Gaussian, from the moments of its pixels, on the device.
 
 use cubecl::prelude::*;
 
@@ -18,7 +18,7 @@ pub struct SplatGradient {
     pub opacity: f32,
 }
 
-/// See the twin.
+/// Gradients of the shape, as in the twin.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 struct ShapeGradient {
@@ -147,7 +147,7 @@ fn centre_backward(view: CameraUniforms, p: Projection, grad_x: f32, grad_y: f32
     }
 }
 
-/// From the moments to the raw parameters.
+/// Gradients of the raw parameters, from the moments.
 #[cube]
 pub fn splat_backward(
     view: CameraUniforms,

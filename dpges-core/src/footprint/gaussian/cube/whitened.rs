@@ -31,7 +31,7 @@ record! {
         pub a: Vec3,
         pub b: Vec3,
         pub z: Vec3,
-        /// Of the centre, world units.
+        /// Depth of the centre, world units.
         pub depth: f32,
         /// Depth over the largest scale.
         pub distance: f32,
@@ -92,7 +92,7 @@ impl Whitened {
         (select(exists, alpha, 0.0f32), select(exists, self.depth * (1.0f32 - along), self.depth))
     }
 
-    /// From the gradients of the exponent and of the depth of the fragment at the point (`x`, `y`) px.
+    /// Gradients at the point (`x`, `y`) px, from those of the exponent and of the depth of the fragment there.
     pub fn pixel_backward(&self, view: CameraUniforms, x: f32, y: f32, power: f32, grad_depth: f32) -> RayGrad {
         let ray = self.ray(view, x, y);
         let squared = self.distance * self.distance;

@@ -125,7 +125,7 @@ fn add_covered<T: Real, S: Simd>(sums: &mut [Lanes<T, S>], grads: V3<Lanes<T, S>
 }
 
 impl<T: Real> WayBack<'_, T> {
-    /// What depth, normal and distortion make of an αT, and the gradient with respect to z over αT.
+    /// The gradient with respect to αT through depth, normal and distortion, and that with respect to z over αT.
     #[inline(always)]
     fn maps<S: Simd>(&self, start: usize, normal: V3<T>, blended: Mask<T, S>, depth: Lanes<T, S>) -> [Lanes<T, S>; 2] {
         let simd = depth.simd();
@@ -232,7 +232,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
         (id, Entry { position: number, footprint, colour: footprint.colour(), normal })
     }
 
-    /// From the pixels, of which T behind everything is known.
+    /// The way back from pixels whose T behind everything is known.
     #[inline(always)]
     fn way_back(&self, progress: Progress<T>, spread: Spread<T>) -> WayBack<'_, T> {
         let of_alpha = &self.grad[ALPHA_PLANE * TILE_PIXELS..][..TILE_PIXELS];

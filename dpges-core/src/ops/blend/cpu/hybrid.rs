@@ -37,7 +37,7 @@ struct Pixel<T> {
     len: usize,
     /// 1 / z of the first fragment in the list, 0 before it: m is counted from there.
     reference: T,
-    /// Of the others: Σ α, Π (1 − α), Σ α payload.
+    /// Sums over the others: Σ α, Π (1 − α), Σ α payload.
     alpha: T,
     through: T,
     payload: [T; PAYLOAD],

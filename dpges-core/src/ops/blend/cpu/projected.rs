@@ -174,7 +174,7 @@ pub trait Projected<T: Real>: Copy + Send + Sync + 'static {
         [half_width, half_height, half_width, half_height]
     }
 
-    /// From the sums to the raw parameters; what the normal and the colour pass on is not included.
+    /// Gradients of the raw parameters from the sums; what the normal and the colour pass on is not included.
     fn backward(&self, view: &CameraPair<T>, parameters: &Parameters<T>, sums: &Sums<T>) -> ParameterGrad<T>;
 }
 

@@ -72,7 +72,7 @@ pub struct Tile<'a, T, F> {
     pub camera: &'a CameraOf<T>,
     pub number: usize,
     pub thresholds: &'a Thresholds<T>,
-    /// That of the m of distortion.
+    /// Slope of the m of distortion.
     pub slope: T,
     pub order: BlendOrder,
 }

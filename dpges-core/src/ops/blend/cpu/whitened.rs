@@ -11,7 +11,7 @@ use crate::footprint::gaussian::cpu::{ParameterGrad, Parameters};
 use crate::math::{CameraOf, V3};
 use crate::tiles::{PixelRect, TileGrid};
 
-/// With the slopes of its centre, which the probe needs.
+/// A whitened Gaussian with the slopes of its centre, which the probe needs.
 #[derive(Clone, Copy, Debug)]
 pub struct WhitenedFootprint<T> {
     shape: Whitened<T>,

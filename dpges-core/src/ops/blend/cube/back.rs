@@ -14,7 +14,7 @@ use crate::gpu::view::CameraUniforms;
 pub struct PixelGrad {
     colour: Vec3,
     pub alpha: f32,
-    /// The others without maps 0.
+    /// This and the others are 0 without maps.
     depth: f32,
     normal: Vec3,
     distortion: f32,
@@ -54,7 +54,7 @@ pub struct Spread {
     second_moment: f32,
 }
 
-/// Those of the pixel with this `state` behind its last fragment.
+/// The sums of the pixel with this `state` behind its last fragment.
 #[cube]
 pub fn spread_of(state: &Array<f32>) -> Spread {
     Spread {

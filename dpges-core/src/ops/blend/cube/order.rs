@@ -56,7 +56,7 @@ pub fn depth_order(positions: &CubeTensor, camera: &Camera) -> CubeTensor {
 #[cube]
 pub fn sort_key(value: f32) -> u32 {
     let bits = u32::reinterpret(value);
-    // of negative numbers all bits are flipped, since the larger ones in size are the smaller ones
+    // negative numbers have all bits flipped, since those larger in size are smaller
     bits ^ select(bits >= SIGN, NO_KEY, SIGN)
 }
 
