@@ -51,7 +51,7 @@ pub fn draw_in_proportion(weights: &[f32], count: usize, rng: &mut ChaCha8Rng) -
     let draw = |_| {
         // the product may round up to the total, which lies behind the last entry
         let at = (rng.random::<f64>() * total).min(total.next_down());
-        // <= passes over entries of weight 0, which repeat the sum before them
+        // `<=` passes over entries of weight 0, which repeat the sum before them
         cumulative.partition_point(|&sum| sum <= at)
     };
     (0..count).map(draw).collect()

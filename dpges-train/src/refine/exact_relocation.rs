@@ -80,7 +80,7 @@ pub fn renew(
     let opacities: Vec<f32> = kept.iter().zip(&members).map(|(opacity, &members)| opacity / members as f32).collect();
     let mut copies = gaussians.select(&sources.iter().map(|&at| rows[at]).collect::<Vec<_>>());
     copies.opacities = sources.iter().map(|&at| opacities[at]).collect();
-    // copies in one place would have the same gradients for ever
+    // copies in one place would have the same gradients, and never part
     if shift {
         shift_within(&mut copies, rng);
     }

@@ -36,7 +36,7 @@ pub fn drawn(opacities: &[f32]) -> Vec<usize> {
     (0..opacities.len()).filter(|&row| opacities[row] >= CUTOFF as f32).collect()
 }
 
-/// Those of `count` rows that stay, or all if none would.
+/// The rows below `count` that stay, or all if none would.
 fn kept(count: usize, stays: impl FnMut(&usize) -> bool, of: &str) -> Vec<usize> {
     let kept: Vec<usize> = (0..count).filter(stays).collect();
     if count > 0 && kept.is_empty() {

@@ -50,7 +50,7 @@ pub fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
     ]
 }
 
-/// The same for people.
+/// Names and values as text.
 pub fn rows(entries: &[(&'static str, Value)]) -> Vec<(&'static str, String)> {
     entries.iter().map(|(name, value)| (*name, text(value))).collect()
 }

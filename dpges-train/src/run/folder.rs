@@ -79,7 +79,7 @@ pub enum RunFolderError {
 pub struct Origin {
     /// Absolute path of the dataset's folder, or `builtin`.
     pub dataset: String,
-    /// As `--device` takes it.
+    /// The name that `--device` takes.
     pub device: String,
     pub version: String,
 }

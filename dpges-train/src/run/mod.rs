@@ -87,7 +87,7 @@ pub use validation::{Validation, Verdict};
 /// A run from its first step, or the one it was stopped after, to its last.
 pub struct Run {
     trainer: Trainer,
-    /// Began with the run, or where it goes on.
+    /// Peak memory since the run began or went on.
     peak: PeakMemory,
     /// Where it writes to; `None` if it is kept in memory.
     folder: Option<RunFolder>,

@@ -22,7 +22,7 @@ pub enum StepStage {
 }
 
 impl StepStage {
-    /// The one in which scenes that are drawn by `rendering` are trained.
+    /// The stage in which scenes that are drawn by `rendering` are trained.
     pub fn of(rendering: Rendering) -> Self {
         if rendering == Rendering::Peeled { Self::Joint } else { Self::Blended }
     }

@@ -75,7 +75,7 @@ impl Record {
         Ok(())
     }
 
-    /// Makes the scene in the file `earlier`, with its corrections, that of the run.
+    /// Makes the scene in the file `earlier`, with its corrections, the scene of the run.
     pub fn take(&self, earlier: &Path) -> Result<SceneData> {
         let scene = SceneData::load(earlier)?;
         let place = self.folder.scene();

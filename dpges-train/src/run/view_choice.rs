@@ -13,7 +13,7 @@ type Result<T, E = SceneError> = std::result::Result<T, E>;
 pub struct ViewChoice {
     /// The dataset; a run knows its own.
     pub data: Option<PathBuf>,
-    /// The held-out views if it is not said.
+    /// The split; `None` for the held-out views.
     pub split: Option<Split>,
     pub reading: Reading,
 }
@@ -74,7 +74,7 @@ impl ViewChoice {
         scene.read(self.data.as_deref(), &self.reading, apart)
     }
 
-    /// Those of the views of `dataset` that are asked for.
+    /// The views of `dataset` that are asked for.
     pub fn chosen<'a>(&self, dataset: &'a Dataset) -> &'a [View] {
         self.split().of(dataset)
     }

@@ -84,7 +84,7 @@ pub trait Stage: Send {
         false
     }
 
-    /// Takes note of what refinement wants to know of the views of a step, that of this rank `observed`, which `cameras` see.
+    /// Records what refinement needs of the views of a step: `observed` from that of this rank, and their `cameras`.
     fn observe(&mut self, _observed: Observed, _cameras: &[Camera]) {}
 
     /// Learning rates of the step after `completed` ones.
@@ -106,7 +106,7 @@ pub trait Stage: Send {
 pub struct ForwardPass {
     /// [1] each; terms that the stage does not have are 0.
     pub losses: Losses,
-    /// Leaf beside the parameters whose gradient the stage wants to know.
+    /// Leaf beside the parameters whose gradient the stage needs.
     pub probe: Option<Tensor<2>>,
     /// Statistics of the stage with this view; `None` if it has none.
     pub statistics: Option<Statistics>,
@@ -125,7 +125,7 @@ pub struct Observed {
 pub struct Trained {
     pub discs: Option<GaussianData>,
     pub gaussians: Option<GaussianData>,
-    /// Those of a joint stage, for the next to go on with.
+    /// Surfels and Gaussians of a joint stage, which the next one goes on with.
     pub joined: Option<InitialScene>,
     /// The environment that the next stage starts with; `None` in runs without one.
     pub environment: Option<EnvironmentData>,

@@ -19,7 +19,7 @@ pub struct Parameters<'a> {
     pub weighted_sum: Option<&'a mut WeightedSumState>,
 }
 
-/// The same, on the tape of one step.
+/// Parameters on the tape of one step.
 pub struct Leaves {
     pub surfels: Surfels,
     pub gaussians: Gaussians,
@@ -87,13 +87,13 @@ impl Parameters<'_> {
 }
 
 impl ParameterGradients {
-    /// The same after `change`.
+    /// The gradients after `change`.
     pub fn map(self, change: impl Fn(Tensor<2>) -> Tensor<2>) -> Self {
         let all = |list: GradientList| list.into_iter().map(|(of, gradient)| (of, gradient.map(&change))).collect();
         Self(self.0.map(all))
     }
 
-    /// With their attributes; `None` where no gradient reached one.
+    /// The gradients with their attributes; `None` where no gradient reached one.
     pub fn iter(&self) -> impl Iterator<Item = &NamedGradient> {
         self.0.iter().flatten()
     }

@@ -20,9 +20,9 @@ use crate::views::pose::refinement::POSES;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StepViews {
-    /// One for each rank, or one for all of them.
+    /// Index of a view for each rank, or of one for all of them.
     pub of_ranks: Vec<usize>,
-    /// That of this rank.
+    /// Index of the view of this rank.
     pub own: usize,
 }
 

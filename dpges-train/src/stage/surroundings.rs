@@ -27,7 +27,7 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    /// Those of the block that `config` names, if it names one.
+    /// The surroundings of the block that `config` names, if it names one.
     ///
     /// # Errors
     /// [`TrainError::Pretrained`] if a file cannot be read, or its scene does not fit this run.

@@ -93,7 +93,7 @@ impl WeightedSumState {
         WeightedSum { weight: self.weight, sigma, beta, background }
     }
 
-    /// On a new tape, for one step.
+    /// The numbers as leaves of a new tape, for one step.
     pub fn leaves(&self) -> WeightedSumTensors {
         let [sigma, beta, background] = self.parameters.each_ref().map(Parameter::leaf);
         WeightedSumTensors { sigma, beta, background }

@@ -13,7 +13,7 @@ fn owner_in(starts: &[u32], low: u32, high: u32, piece: u32) -> u32 {
     let mut end = high;
     while end - first > 1u32 {
         let middle = (first + end) / 2u32;
-        // <= finds the last of several equal starts: the primitives before it have no pieces
+        // `<=` finds the last of several equal starts: the primitives before it have no pieces
         if starts[middle as usize] <= piece {
             first = middle;
         } else {

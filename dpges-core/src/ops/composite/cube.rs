@@ -193,7 +193,7 @@ fn layers_backward_kernel(
         let at = k * plane + pixel;
         grad_weights[at] = dot(surfel, layer_colour(colours, ids[at]));
         let mut of_gate = 0.0f32;
-        // an ablation leaves out that Gaussians teach the surfels before them
+        // an ablation leaves this out: Gaussians then teach the surfels before them nothing
         if comptime!(gated) {
             let sum = 4 * k * plane + pixel;
             let payload = vec3(sums[sum], sums[sum + plane], sums[sum + 2 * plane]);

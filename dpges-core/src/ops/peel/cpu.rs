@@ -305,7 +305,7 @@ impl<T: Real> WithSimd for PeelTile<'_, T> {
                         }
                     };
                     let squared = u.mul_add(u, v * v);
-                    // < and not <=: at its end a surfel has opacity 0
+                    // `<` and not `<=`: at its end a surfel has opacity 0
                     let mut exists = min_facing.below(facing.abs()) & near.below(depth) & squared.below(end);
                     if let Some(cores) = &cores {
                         exists = exists & cores.reach(start, depth);

@@ -147,7 +147,7 @@ fn peel_kernel(
                     core_depth = found.depth;
                     core_id = own_id;
                 }
-                // <= since of equal depths the index decides, in `insert`
+                // `<=` since of equal depths the index decides, in `insert`
                 #[expect(clippy::collapsible_if, reason = "the outer condition is known before")]
                 if comptime!(others > 0) {
                     if depth <= slots.depth[others - 1] && id != NONE {

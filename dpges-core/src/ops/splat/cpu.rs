@@ -85,7 +85,7 @@ impl<T: Real> TileLimits<'_, T> {
     /// From the first to the last interval that a Gaussian at this depth falls into at some pixel of the tile.
     #[inline(always)]
     fn intervals(&self, depth: T) -> Range<usize> {
-        // < since at the limit itself the share before it is 0
+        // `<` since at the limit itself the share before it is 0
         let falls = |range: &[T; 2]| depth >= range[0] && depth < range[1];
         let first = self.ranges.iter().position(falls).unwrap_or(self.ranges.len());
         first..self.ranges.iter().rposition(falls).map_or(first, |last| last + 1)
@@ -283,7 +283,7 @@ impl<T: Real> Gather<'_, T> {
                 let grad = &self.grad[tile * block..][..block];
                 let intervals = limits.intervals(splat.depth);
                 let [red, green, blue, alpha] = read_gradients(grad, limits, &intervals, depth, start);
-                // the weight has the payload (c, 1), so that its gradient is that of the four sums with it
+                // the weight multiplies (c, 1) in the four sums, so that its gradient is (c, 1) times theirs
                 let payload = colour[0].mul_add(red, colour[1].mul_add(green, colour[2].mul_add(blue, alpha)));
                 for (sum, grad) in colours.iter_mut().zip([red, green, blue]) {
                     *sum = weight.mul_add(grad, *sum);

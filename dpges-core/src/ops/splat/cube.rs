@@ -127,7 +127,7 @@ fn splat_kernel(
                 let splat = Splat::load(&staged, o);
                 let dy = pixel.y - splat.mean_y;
                 let weight = splat.weight(splat.u(pixel.x - splat.mean_x, dy), splat.r * dy);
-                // < since at the limit itself the share before it is 0
+                // `<` since at the limit itself the share before it is 0
                 if weight > 0.0f32 && splat.depth < upper[layers - 1] {
                     let colour = Vec3::load(&staged, o + SPLAT);
                     let mut nearer = 0.0f32;
@@ -217,7 +217,7 @@ fn gather_kernel(
                         nearer = before;
                     }
                 }
-                // the weight has the payload (c, 1); times itself its gradient is that of the exponent
+                // the weight multiplies (c, 1) in the four sums; times itself its gradient is that of the exponent
                 let power = weight * (alpha + colour.x * red + colour.y * green + colour.z * blue);
                 add_moments(&mut own, power, u, v);
                 own[MOMENTS] += weight * red;

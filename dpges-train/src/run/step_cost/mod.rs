@@ -127,7 +127,7 @@ fn gpu_work(_: &mut Steps) -> Result<Option<GpuWork>, TrainError> {
 }
 
 impl StepCost {
-    /// Names and values, for people.
+    /// Names and values as text.
     pub fn rows(&self) -> Vec<(&'static str, String)> {
         let megabytes = |bytes: u64| format!("{:.2} MB", bytes as f64 / 1e6);
         let Self { stage, surfels, gaussians, views, width, height, steps, median_ms, p95_ms, .. } = self;

@@ -26,7 +26,7 @@ use crate::eval::{EvalReport, TargetReport};
 #[derive(Clone, Debug, PartialEq)]
 pub struct Target {
     wanted: Wanted,
-    /// As it was asked for.
+    /// The words of the request.
     text: String,
 }
 
@@ -44,7 +44,7 @@ pub struct Pursuit {
     asked: String,
     unit: Unit,
     expected: f64,
-    /// In words.
+    /// The way to the target, in words.
     how: String,
     /// Where frames are measured from, in the coordinates of the scene; empty for other targets.
     cameras: Vec<Camera>,

@@ -60,11 +60,11 @@ const DEGREES_HALVED_EVERY: usize = 5000;
 pub struct BlendedStage {
     pub plan: StagePlan,
     blended: Blended,
-    /// Those that see a view each in every step.
+    /// The ranks, each of which has a view of its own in every step.
     ranks: Arc<dyn Ranks>,
     pub info: SceneInfo,
     schedule: BlendedSchedule,
-    /// There are none.
+    /// Always empty.
     surfels: SurfelState,
     pub gaussians: GaussianState,
     pub environment: EnvironmentState,
@@ -112,7 +112,7 @@ impl BlendedStage {
         Self::new(plan, blended, state, environment::fresh(environment, device), screen_gradients, context)
     }
 
-    /// The same, with Gaussians that are summed as `sum` says; `None` if they are not.
+    /// This stage, with Gaussians that are summed as `sum` says; `None` if they are not.
     fn summing(mut self, sum: Option<WeightedSum>, context: &Context) -> Self {
         self.weighted_sum = sum.as_ref().map(|sum| WeightedSumState::new(sum, &context.device));
         self.info.weighted_sum = sum;

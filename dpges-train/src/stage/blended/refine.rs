@@ -21,7 +21,7 @@ const RESET_OPACITY: f64 = 0.01;
 const ABSOLUTE_THRESHOLD: f64 = 4e-4;
 /// Scale up to which a primitive is cloned, larger ones are split, extents (3DGS: `percent_dense`).
 const DENSE_FRACTION: f64 = 0.01;
-/// The same of AbsGS.
+/// The same in AbsGS.
 const ABSOLUTE_DENSE_FRACTION: f64 = 0.001;
 /// Opacity below which a disc is removed (2DGS).
 const DISC_MIN_OPACITY: f64 = 0.05;

@@ -14,7 +14,7 @@ const OPACITY: f64 = 0.1;
 const RELOCATED_OPACITY: f64 = 0.5;
 /// Scale at the start relative to the root mean square distance to the 3 nearest points (2DGS, 3DGS).
 const SCALE: f64 = 1.0;
-/// The same of Student's t kernels (SSS).
+/// The same for Student's t kernels (SSS).
 const STUDENT_SCALE: f64 = 0.1;
 /// Thickness of a Gaussian that is made of a surfel, over the mean of its two scales (GES).
 const THICKNESS: f64 = 0.1;

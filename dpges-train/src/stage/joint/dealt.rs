@@ -29,7 +29,7 @@ impl Dealt {
         Self { ranks, owners }
     }
 
-    /// `count` Gaussians, dealt out as `column` says if it was written by as many ranks as there are now, or else anew.
+    /// `count` Gaussians, sharded as `column` says if it was written by as many ranks as there are now, or else anew.
     ///
     /// # Errors
     /// A message if the column has another length.
@@ -39,7 +39,7 @@ impl Dealt {
             return Err(format!("column `{OWNERS}` has {} numbers, expected {count}", column.len()));
         }
         let owners: Vec<u16> = column.into_iter().map(|owner| owner as u16).collect();
-        // a run that goes on with another number of ranks deals its Gaussians out anew
+        // a run that goes on with another number of ranks shards its Gaussians anew
         let before = owners.iter().max().map_or(0, |&last| usize::from(last) + 1);
         Ok(if before == ranks.count() { Self { ranks, owners } } else { Self::new(count, ranks) })
     }
@@ -131,7 +131,7 @@ impl Dealt {
         self.owners.iter().for_each(|&owner| counts[usize::from(owner)] += 1);
         let mut added = Vec::new();
         for row in 0..edit.added.len() {
-            // every rank deals out all new ones, to the first of those with the fewest: all agree without a message
+            // every rank shards all new ones, each to the first rank with the fewest: all agree without a message
             let fewest = (0..counts.len()).min_by_key(|&rank| counts[rank]).expect("there are ranks");
             counts[fewest] += 1;
             self.owners.push(fewest as u16);

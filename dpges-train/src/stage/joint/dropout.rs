@@ -10,7 +10,7 @@ use crate::config::TrainConfig;
 
 /// Passes over the training views: runs of up to the first leave none out, runs from the second on `train.dropout` of
 /// them.
-// short runs lose by it at any share; at South Building 179 passes gain 0.3 dB with a fifth
+// most short runs lose by it; at South Building 179 passes gain 0.3 dB with a fifth
 const PASSES: [f64; 2] = [50.0, 150.0];
 
 /// The share of Gaussians that steps of the joint stage leave out, in a run over `views` training views.

@@ -192,7 +192,7 @@ impl Stage for JointStage {
         rendered.composite.image = input.photographed(rendered.composite.image);
         rendered.composite.surfel_image = input.photographed(rendered.composite.surfel_image);
         let mut statistics = self.statistics.clone();
-        // on a clone, which only a step that is taken hands back by `observe`
+        // on a clone: a pass is repeated if a list had no room, and must be idempotent
         statistics.observe(
             &rendered,
             own_gaussians,

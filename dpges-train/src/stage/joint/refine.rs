@@ -75,7 +75,7 @@ impl JointStage {
                 NewGaussians::Copies => removed.min(target.saturating_sub(primitives)),
                 NewGaussians::Black => 0,
             };
-            // up to a wanted number, not by one: a sixth of the Gaussians fade between two batches, and are made up for
+            // up to a number, not by a number: a sixth of the Gaussians fade between two batches, and are made up for
             let count = replaced + batch_size(target, primitives + replaced, batches);
             events.push(self.add_gaussians(context, count, removed)?);
         }

@@ -1,7 +1,7 @@
 //! Sizes of surfels before the joint stage: none may cover what trained Gaussians show behind it.
 //!
 //! A surfel that starts at a point is as large as its neighbours are far away. At silhouettes, at holes and where points are
-//! lone that is too large: it hides the background, which nothing before it can mend.
+//! isolated that is too large: it hides the background, and nothing in front of it can correct that.
 
 use burn::tensor::DType;
 use dpges_core::ops::peel::{PeelOptions, peel};

@@ -299,7 +299,7 @@ impl<T: Real> Splat<T> {
     #[inline(always)]
     pub fn weight(&self, u: T, v: T) -> T {
         let weight = self.strength * (T::of(-0.5) * (u * u + v * v)).exp_nonpositive();
-        // >= as in `strength >= CUTOFF` above: an opacity of exactly 1/255 shows at its centre
+        // `>=` as in `strength >= CUTOFF` above: an opacity of exactly 1/255 shows at its centre
         if weight >= T::of(CUTOFF) { weight } else { T::zero() }
     }
 }

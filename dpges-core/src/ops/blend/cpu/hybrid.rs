@@ -128,7 +128,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
         }
         let mut leaving = Some(found);
         if self.transparency != Transparency::Tail && found.weight >= T::of(CORE_ALPHA) {
-            // <= leaves what came first before others of the same depth
+            // `<=` leaves what came first before others of the same depth
             let at = pixel.core[..pixel.len].partition_point(|kept| kept.depth <= found.depth);
             if at < CORE {
                 leaving = (pixel.len == CORE).then(|| pixel.core[CORE - 1]);

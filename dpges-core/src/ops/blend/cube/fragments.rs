@@ -79,7 +79,7 @@ record! {
 pub fn normal_axis(log_scales: Vec3, #[comptime] form: Form) -> u32 {
     let mut axis = 2u32;
     if comptime!(form != Form::Discs) {
-        // <= finds the first of equal scales, as the CPU does
+        // `<=` finds the first of equal scales, as the CPU does
         let first = log_scales.x <= log_scales.y && log_scales.x <= log_scales.z;
         let later = 2u32 - u32::cast_from(log_scales.y <= log_scales.z);
         axis = select(first, 0u32, later);

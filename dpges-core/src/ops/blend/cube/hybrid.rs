@@ -144,7 +144,7 @@ pub fn find_core(
             let mut depth = at;
             let mut position = entry;
             tail[REFERENCE] = select(tail[REFERENCE] == 0.0f32, 1.0f32 / depth, tail[REFERENCE]);
-            // < leaves what came first before others of the same depth
+            // `<` leaves what came first before others of the same depth
             #[expect(clippy::collapsible_if, reason = "the outer condition is known before")]
             if comptime!(transparency != Transparency::Tail) {
                 if weight >= LEAST_ALPHA && depth < depths[comptime!(CORE - 1)] {

@@ -241,7 +241,7 @@ pub fn walk_rays(
                 let mut moves = false;
                 #[unroll]
                 for place in 0..QUAD_QUEUE {
-                    // < and not <=: equal keys leave in the order in which they came
+                    // `<` and not `<=`: equal keys leave in the order in which they came
                     moves = moves || key < quad_keys[place];
                     let (other_key, other) = (quad_keys[place], quad_positions[place]);
                     quad_keys[place] = select(moves, key, other_key);
