@@ -37,7 +37,7 @@ def main():
         cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
         nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
         cluster.wait_for_nodes()
-        script = [sys.executable, ROOT / "tools/dpges_ray.py", folder, "--dpges", dpges, "--device=cpu", "--gpus=0"]
+        script = [sys.executable, ROOT / "dpges-train/tools/dpges_ray.py", folder, "--dpges", dpges, "--device=cpu", "--gpus=0"]
         script.append(f"--address={cluster.address}")
         running, start = subprocess.Popen(script), time.monotonic()
         while not any(name.startswith("block-") for name in done(folder)):

@@ -1,8 +1,8 @@
 //! The tests on a GPU: the best adapter that wgpu finds, which is a software driver where there is no other.
 //!
 //! Without an adapter they are ignored. With `DPGES_REQUIRE_GPU=1` they fail. On a software driver those that take long there
-//! are ignored, too, unless `DPGES_REQUIRE_GPU=1`, `--ignored` or `--include-ignored` asks for them. The largest picture is
-//! rendered, and scenes at the extremes are trained, only if that is asked for.
+//! are ignored, too, unless `DPGES_REQUIRE_GPU=1`, `--ignored` or `--include-ignored` asks for them; a million primitives there, the
+//! largest picture, and training at the extremes wait for `--ignored` or `--include-ignored`.
 
 use burn::tensor::{DType, Device};
 use dpges_core::testing::extremes::extreme;
@@ -74,12 +74,13 @@ pub fn trials() -> Vec<Trial> {
         step_cost::a_blended_step_is_counted,
     ];
     let slow_in_software = named![
-        gpu::each_of_a_million_has_its_pixel,
         buffers::details_beyond_the_largest_buffer_of_the_driver,
         parity::every_operation_agrees_through_lenses,
         training::a_gpu_trains_as_well_as_a_cpu,
         training::lists_without_room_change_no_bit_of_a_run,
     ];
+    // minutes on a software driver, where its twin on the CPU shows the same
+    let slowest_in_software = named![gpu::each_of_a_million_has_its_pixel];
     let on_request = named![large::the_largest_picture, extreme_training::training_in_f32_ends_where_it_ends_in_f64];
     let device = best();
     let required = is_required();
@@ -96,8 +97,9 @@ pub fn trials() -> Vec<Trial> {
     };
     let ignored = |trial: Trial, is_left_out: bool| if is_left_out { trial.with_ignored_flag(true) } else { trial };
     let slow = slow_in_software.map(|test| ignored(trial(test), in_software));
+    let slowest = slowest_in_software.map(|test| ignored(trial(test), is_software()));
     let asked_for = on_request.map(|test| ignored(trial(test), true));
-    tests.map(trial).into_iter().chain(slow).chain(asked_for).collect()
+    tests.map(trial).into_iter().chain(slow).chain(slowest).chain(asked_for).collect()
 }
 
 /// Whether tests on a GPU fail where they cannot run, and none is left out for the time that it takes.

@@ -173,8 +173,11 @@ pub fn every_operation_agrees_through_lenses(device: &Device) {
         }
         scene.camera = behind(scene.camera, lens, 150.0);
         check(name, &scene, PeelOptions::default(), device);
-        check_blending(name, &scene, &FORMS[..2], device);
-        check_by_rays(name, &scene, device);
+        // sorted methods, which differ only by what a pixel's ray is, through the two with most coefficients
+        if ["FULL_OPENCV", "THIN_PRISM_FISHEYE"].contains(&name) {
+            check_blending(name, &scene, &FORMS[..2], device);
+            check_by_rays(name, &scene, device);
+        }
     }
 }
 
@@ -226,7 +229,7 @@ pub fn a_device_that_is_off_is_found_out() {
         else {
             continue;
         };
-        *value += 1.0;
+        *value += 1.0 + value.abs();
         let far: Vec<String> =
             distances(&found, &expected).into_iter().filter(|(_, d)| *d > 0.0).map(|(name, _)| name).collect();
         assert_eq!(far, [expected[at].0.clone()]);

@@ -186,10 +186,10 @@ configuration! {
         /// `stages.gaussians_by = "rest"`.
         gaussians: f64 = 0.2, range: 0.0..=1.0,
             ablation: "no-gaussian-stage" = "0" ("Without the stage of Gaussians, if the run has one");
-        /// Share of `train.steps` that learns from photographs of half the width and height, with a quarter of the budget, before the
-        /// rest of the joint stage learns from all of them. 0 for none. Photographs of fewer than 200 px, methods alone, and runs
-        /// with discs or that begin with a file have none (DP-GES: 0).
-        coarse: f64 = 0.7, range: 0.0..=1.0, ablation: "no-coarse" = "0" ("Learn from whole photographs from the first step");
+        /// Share of `train.steps` that learns from photographs of half the width and height, with no more primitives than the budget
+        /// `pixels` has for these, before the rest of the joint stage learns from all of their pixels. 0 for none. Photographs of fewer
+        /// than 300 px, methods alone, and runs with discs or that begin with a file have none (DP-GES: 0).
+        coarse: f64 = 0.0, range: 0.0..=1.0, ablation: "coarse-to-fine" = "0.7" ("Learn from photographs of half the size first");
         /// Where the Gaussians of the joint stage come from.
         gaussians_by: GaussianStage = GaussianStage::Mcmc,
             ablation: "dbs-gaussians" = "dbs" ("Train Gaussians by DBS, if the run has a stage of them");

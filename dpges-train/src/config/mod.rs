@@ -56,11 +56,16 @@ pub fn key(name: &str) -> &'static Key {
     keys().find(|key| key.name == name).unwrap_or_else(|| panic!("no key `{name}` is declared"))
 }
 
+/// The budget `pixels` of training views of `pixels` px.
+pub fn primitives_by_pixels(pixels: usize) -> usize {
+    (pixels / 2).max(SMALLEST_BUDGET_BY_PIXELS)
+}
+
 impl Config {
     /// Largest number of surfels and Gaussians together for training views of `pixels` px. An automatic budget is
     /// limited to twice the budget `pixels`.
     pub fn most_primitives(&self, pixels: usize) -> usize {
-        let by_pixels = (pixels / 2).max(SMALLEST_BUDGET_BY_PIXELS);
+        let by_pixels = primitives_by_pixels(pixels);
         match self.refine.budget {
             Budget::Pixels => by_pixels,
             Budget::Auto => 2 * by_pixels,

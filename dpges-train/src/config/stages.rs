@@ -21,7 +21,7 @@ pub const SHORTEST_RESET: usize = 500;
 const MIP_SPLATTING_PX: f64 = 0.447_213_6;
 
 /// Longest side from which on training views are learnt from at half of their size first, px.
-const COARSE_FROM: usize = 200;
+const COARSE_FROM: usize = 300;
 
 /// Largest number of steps after scaling; f64 does not hold much larger whole numbers exactly.
 const MOST_SCALED_STEPS: f64 = 1e15;
@@ -153,7 +153,7 @@ pub struct StagePlan {
     pub reference_steps: usize,
     /// Largest number of primitives, as a share of `refine.budget`; infinite without a limit.
     pub budget_share: f64,
-    /// Whether it learns from training views of half the width and height, with a quarter of the budget.
+    /// Whether it learns from training views of half the width and height, with no more primitives than are budgeted by their pixels.
     pub is_coarse: bool,
 }
 

@@ -10,7 +10,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{Budget, Config, StagePlan, Upwards};
+use crate::config::{Budget, Config, StagePlan, Upwards, primitives_by_pixels};
 use crate::dataset::{Dataset, MOST_PREFETCHED, prefetch};
 use crate::device::place::Place;
 use crate::stage::TrainError;
@@ -85,14 +85,15 @@ impl Context {
             return Ok(());
         }
         self.is_coarse = plan.is_coarse;
-        let pixels = mean_pixels(&self.dataset);
         self.dataset = if plan.is_coarse { Arc::new(self.whole.halved()?) } else { Arc::clone(&self.whole) };
-        self.place_cameras();
         self.budget = budget(&self.config, &self.whole);
         if plan.is_coarse {
-            let share = mean_pixels(&self.dataset) as f64 / pixels as f64;
-            self.budget = ((self.budget as f64 * share) as usize).max(1);
+            // more would be finer than its pixels
+            let pixels = primitives_by_pixels(different_pixels(&self.dataset));
+            let automatic = if self.config.refine.budget == Budget::Auto { 2 } else { 1 };
+            self.budget = self.budget.min(automatic * pixels);
         }
+        self.place_cameras();
         self.photographs = DevicePhotographs::new(&self.config, &self.device);
         self.depth = self.start_of_depth();
         Ok(())
@@ -199,7 +200,12 @@ const MOST_PICTURES: f64 = 4.0;
 
 /// The largest number of surfels and Gaussians together that a run of `config` on `dataset` may have.
 pub fn budget(config: &Config, dataset: &Dataset) -> usize {
-    config.most_primitives((mean_pixels(dataset) as f64 * different_pictures(dataset)) as usize)
+    config.most_primitives(different_pixels(dataset))
+}
+
+/// Number of pixels of pictures without anything in common that show as much as the training views do.
+fn different_pixels(dataset: &Dataset) -> usize {
+    (mean_pixels(dataset) as f64 * different_pictures(dataset)) as usize
 }
 
 /// How many pictures without anything in common show as much as the training views do, from 1 to [`MOST_PICTURES`]: the

@@ -27,7 +27,7 @@ fn a_plan_outlives_a_node_and_no_block_is_trained_twice() {
     let small = ["--blocks=4", "--max-resolution=48", "--steps=300", "--budget=2500"];
     let often = ["--set=train.evaluate_every=0", "--set=train.checkpoint_every=20"];
     ok(at, &[&["blocks", "plan", "builtin", "--out=city"], &small[..], &often].concat());
-    let tool = here.join("../tools/dpges_ray.py");
+    let tool = here.join("tools/dpges_ray.py");
     let mut cluster = Command::new(&python);
     cluster.arg(here.join("tests/ray_cluster.py")).arg(&tool).arg(env!("CARGO_BIN_EXE_dpges")).arg(&plan);
     let started = cluster.output().unwrap();

@@ -356,7 +356,7 @@ fn wrong_files_are_refused_by_name() {
         ("c.xml", xml.replace("<b1>", "<b2>9</b2><b1>"), ["sensor `A`", "no rectangles"]),
         ("c.xml", xml.replace("label='a'", "label='b'"), ["images/b", "1 of 1 photographs"]),
         ("c.csv", csv.replace(",f,", ",focal,"), ["the header is without f", "Internal/External"]),
-        ("c.csv", csv.replace(",0.02,", ",NaN,"), ["px in line 2 is `NaN`", "a number"]),
+        ("c.csv", csv.replace(",0.02,", ",NaN,"), ["k2 in line 2 is `NaN`", "a number"]),
         ("c.csv", csv[..csv.len() - 20].to_owned(), ["line 2 is `a.png,1,2", "16 values"]),
         ("c.csv", csv.replace(",30,", ",0,"), ["view `a.png`", "`fx` is 0"]),
         ("a.xmp", xmp.replace("brown4t2", "division"), ["model division of photograph `a`", "lenses of Brown"]),

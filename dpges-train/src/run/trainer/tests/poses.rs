@@ -54,7 +54,7 @@ fn misplaced_cameras_are_put_back() {
 fn a_budget_by_pixels_is_that_of_the_cameras_as_they_were_recorded() {
     // large enough for a budget above the smallest, with cameras that all see the same
     let dataset = Arc::new(builtin(&options(240, [3, 0], 200)));
-    let begun = Trainer::new(config(&["train.poses=on", "stages.coarse=0"]), dataset.clone(), device()).unwrap();
+    let begun = Trainer::new(config(&["train.poses=on"]), dataset.clone(), device()).unwrap();
     let expected = begun.context.budget;
     assert!(expected > SMALLEST_BUDGET_BY_PIXELS, "{expected}");
     // of a run whose first camera looks away from the others by now

@@ -95,7 +95,7 @@ fn what_is_learnt_beside_the_primitives_learns_in_every_stage_and_goes_from_one_
 #[test]
 fn coarse_stages_learn_from_half_of_the_photographs_and_hand_on_their_scene() {
     // as large as pictures must be for it, and as small as they can be
-    let size = BuiltinOptions { width: 200, height: 5, ..options(5, [3, 1], 200) };
+    let size = BuiltinOptions { width: 300, height: 5, ..options(5, [3, 1], 200) };
     let data = Arc::new(builtin(&size));
     let set = [
         "train.steps=30",
@@ -107,11 +107,11 @@ fn coarse_stages_learn_from_half_of_the_photographs_and_hand_on_their_scene() {
     ];
     let begin = || Trainer::new(config(&set), Arc::clone(&data), device()).unwrap();
     let mut trainer = begin();
-    for (stage, steps, width, most) in [("dbs", 9, 100, 120), ("coarse", 18, 100, 120), ("joint", 30, 200, 400)] {
+    for (stage, steps, width, most) in [("dbs", 9, 150, 240), ("coarse", 18, 150, 400), ("joint", 30, 300, 400)] {
         step_until(&mut trainer, Trainer::stage_is_over);
         assert_eq!((trainer.stage().to_string().as_str(), trainer.completed_steps()), (stage, steps));
         let views = trainer.dataset();
-        assert_eq!((views.train[0].camera.width, views.test[0].camera.width), (width, 200), "{stage}");
+        assert_eq!((views.train[0].camera.width, views.test[0].camera.width), (width, 300), "{stage}");
         assert_eq!(views.train[0].picture().unwrap().width, width, "{stage}");
         let scene = trainer.scene();
         let count = scene.surfels.len() + scene.gaussians.len();
