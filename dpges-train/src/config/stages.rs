@@ -21,7 +21,7 @@ pub const SHORTEST_RESET: usize = 500;
 const MIP_SPLATTING_PX: f64 = 0.447_213_6;
 
 /// Longest side from which on training views are learnt from at half of their size first, px.
-const COARSE_FROM: usize = 300;
+pub const COARSE_FROM: usize = 300;
 
 /// Largest number of steps after scaling; f64 does not hold much larger whole numbers exactly.
 const MOST_SCALED_STEPS: f64 = 1e15;

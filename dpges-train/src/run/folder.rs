@@ -8,7 +8,7 @@
 //! checkpoint.safetensors    what `--resume` continues from
 //! checkpoint.json           in its place for a run on several ranks: the newest two generations, see `run::shards`
 //! checkpoint_N_R_of_RANKS.safetensors  the part of rank R in generation N
-//! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`)
+//! stage_NAME.safetensors    the scene at the end of a stage before the last (`2dgs`, `dbs`, `mcmc`, `coarse`)
 //! stage_NAME.json           its evaluation, like eval.json
 //! exposure.json             gain and offset of every training view in that scene, if exposures are corrected
 //! poses.json                where every training camera is in that scene, if their poses are refined
@@ -52,7 +52,7 @@ const FILES: [&str; 14] = [
     "best_poses.json",
 ];
 /// Stages before the last, and the ends of the names of their files.
-const STAGES: [&str; 3] = ["2dgs", "dbs", "mcmc"];
+const STAGES: [&str; 4] = ["2dgs", "dbs", "mcmc", "coarse"];
 const OF_STAGE: [&str; 4] = [".safetensors", ".json", "_exposure.json", "_poses.json"];
 
 /// Why a folder cannot be used for a run.
@@ -348,17 +348,23 @@ pub fn remove(path: &Path) -> Result<(), Error> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
-    use crate::config::{Blended, Relocation, StageKind};
 
     #[test]
     fn every_scene_has_corrections_of_its_own_that_a_new_run_removes() {
         let folder = tempfile::tempdir().unwrap();
         let run = RunFolder::new(folder.path());
         assert_eq!(run.corrections_of(&run.scene()), [run.exposure(), run.poses()]);
-        let (mcmc, beta) = (Blended::Relocated(Relocation::Mcmc), Blended::Relocated(Relocation::Beta));
-        let stages = [Blended::Discs, mcmc, beta]
-            .map(|blended| run.path().join(format!("stage_{}.safetensors", StageKind::Blended(blended))));
+        // every stage before the last that a run may have
+        let plans = [&["stages.surfels=0.2"][..], &["stages.gaussians_by=dbs"], &["stages.coarse=0.7"]];
+        let plans = plans.map(|set| Config::with(set).unwrap().plan(usize::MAX));
+        let before_last = |plan: &Vec<StagePlan>| {
+            plan[..plan.len() - 1].iter().map(|stage| run.stage_scene(stage)).collect::<Vec<_>>()
+        };
+        let stages: BTreeSet<PathBuf> = plans.iter().flat_map(before_last).collect();
+        assert_eq!(stages.len(), STAGES.len());
         for scene in stages.into_iter().chain([run.best()]) {
             for file in run.corrections_of(&scene) {
                 std::fs::write(&file, "old").unwrap();

@@ -9,6 +9,7 @@ use dpges_core::scene::{ColourData, ColourModel, GaussianData, Rendering, SceneD
 use dpges_render::export::{MAX_DEGREE, Opened, flatten, open, to_harmonics};
 
 use super::{Context, TrainError};
+use crate::config::stages::COARSE_FROM;
 use crate::config::{Blended, Density, GaussianStage, Relocation, StageKind, StagePlan, Stop};
 
 /// Key of the file to take discs or surfels from.
@@ -31,6 +32,12 @@ impl Context {
                  some of the training views, of which there must be more than two"
                     .into(),
             ));
+        }
+        if self.config.stages.coarse > 0.0 && !plan.iter().any(|stage| stage.is_coarse) {
+            tracing::info!(
+                "stages.coarse has no effect: it needs photographs of {COARSE_FROM} px, method dpges, no discs or files to begin with, \
+                 and an end between that of stages.gaussians and that of the run"
+            );
         }
         let trains = |kind: StageKind| plan.iter().any(|stage| stage.kind == kind);
         let (joint, discs) = (trains(StageKind::Joint), trains(StageKind::Blended(Blended::Discs)));

@@ -219,7 +219,7 @@ fn gradients_at_the_ends_of_ramps_are_those_of_one_side_and_finite() {
     check_gradients("one depth", &Stacks::one(3, &near(1e-4)), Peeling::Continuous);
 }
 
-/// What a stack of fragments in any order looks like: the colour of fragment i is its opacity plus i.
+/// Colour of a stack of fragments in any order: that of fragment i is its opacity plus i.
 fn colour(stack: &[Fragment]) -> f64 {
     let mut order: Vec<usize> = (0..stack.len()).collect();
     order.sort_by(|&a, &b| stack[a][1].total_cmp(&stack[b][1]));

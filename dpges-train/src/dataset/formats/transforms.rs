@@ -20,7 +20,7 @@ use crate::dataset::image::depth::DEFAULT_UNIT;
 const MOST_SHEARED: f64 = 0.03;
 /// The same, and the difference of s from 1, up to which that is not said.
 const ROUNDED: f64 = 2e-3;
-/// What is expected of a pose, for messages.
+/// The expectation of a pose, for messages.
 pub(super) const ROTATION: &str = "a rotation without shear or mirroring";
 /// Beginnings of keys of a lens that the others do not describe, and whole ones.
 const LENS_WORDS: [&str; 9] = [

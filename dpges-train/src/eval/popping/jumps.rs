@@ -31,7 +31,7 @@ pub struct Jumps {
     pub jumps_by_cause: Option<Causes>,
 }
 
-/// What differs between two frames where a pixel jumps. They add up to [`Jumps::jumps_8`].
+/// Jumps by the difference between their two frames. The fields add up to [`Jumps::jumps_8`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Causes {
     /// The surfels alone do not jump.

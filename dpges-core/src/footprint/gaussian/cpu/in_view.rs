@@ -15,7 +15,7 @@ const CHUNK: usize = 1024;
 /// Stands for the place of a Gaussian that is not seen.
 pub const UNSEEN: u32 = u32::MAX;
 
-/// Gaussians after culling, by the tile in which their rectangle begins. What lies side by side in the image does so in
+/// Gaussians after culling, by the tile in which their rectangle begins. Neighbours in the image are neighbours in
 /// memory: the sums of neighbours are in a cache that those of the whole image do not fit in.
 pub struct InView<T> {
     /// Row of each in the parameters.

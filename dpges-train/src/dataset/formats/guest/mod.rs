@@ -26,7 +26,7 @@ use crate::dataset::{Format, LoadOptions};
 struct Optics {
     /// Focal lengths, px or longer sides of the picture.
     pub focal: [f64; 2],
-    /// Principal point from the middle of the picture, to the right and down, likewise.
+    /// Principal point from the middle of the picture, to the right and down, in the unit of `focal`.
     pub centre: [f64; 2],
     pub is_in_sides: bool,
     pub distortion: Distortion,
