@@ -9,11 +9,12 @@ use serde::{Deserialize, Serialize};
 use super::cameras::{MeasuredBy, assign, shares_of_points, shares_of_scene};
 use super::split::{Limit, Part, split};
 use super::{BlocksError, Result};
-use crate::config::{Budget, Config, Method, Poses, differences};
+use crate::config::{Budget, Config, Method, differences};
 use crate::dataset::block::Bounds;
 use crate::dataset::{Dataset, View};
 use crate::device::place::Place;
 use crate::run::folder::read_json;
+use crate::views::pose::are_learnt;
 
 /// A block as planned.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -58,7 +59,7 @@ impl Plan {
         if config.train.method != Method::Dpges {
             return Err(BlocksError::Method);
         }
-        if config.train.poses != Poses::Off {
+        if are_learnt(config.train.poses, dataset) {
             return Err(BlocksError::Poses);
         }
         let points = &dataset.points.positions;

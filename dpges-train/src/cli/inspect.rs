@@ -8,19 +8,22 @@ use dpges_core::scene::atomic::write_atomically;
 use dpges_train::config::Config;
 use dpges_train::dataset::capture;
 use dpges_train::dataset::check::{Effort, Report, map, sheet, summary};
+use dpges_train::device::DeviceRequest;
 use dpges_train::eval::pictures::save_png;
 use dpges_train::run::folder::write_json;
 use dpges_train::run::hold::Hold;
+use dpges_train::run::recommendation::Recommendation;
+use serde::Serialize;
 
 use super::data::{DataArgs, Source};
-use super::{Result, hold_report, print, sfm, table};
+use super::{Result, device_choice, hold_report, print, sfm, table};
 use crate::cli::logging::LogStyle;
 
 /// Check a dataset: what it consists of, and which photographs will harm the result
 ///
 /// Names photographs that are blurred, brighter or darker than the rest, or there twice, and cameras that are far from all
-/// others or see no points. Photographs are judged in the size in which they are trained on. `dpges train` prints what is
-/// found too.
+/// others, do not fit their points or see none. Photographs are judged in the size in which they are trained on. `dpges train` prints what is
+/// found too. Ends with the command to train with on this machine, and a reason for each of its settings.
 #[derive(Debug, Args)]
 pub struct InspectArgs {
     /// Folder of a COLMAP, Blender or nerfstudio dataset, or `builtin`; or photographs or a video, see `dpges sfm`
@@ -33,6 +36,14 @@ pub struct InspectArgs {
     out: Option<PathBuf>,
     #[command(flatten)]
     options: DataArgs,
+}
+
+/// The content of the JSON file.
+#[derive(Serialize)]
+struct Inspected<'a> {
+    #[serde(flatten)]
+    report: &'a Report,
+    recommendation: &'a Recommendation,
 }
 
 pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
@@ -50,8 +61,11 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     let notes: String = report.notes.iter().map(|note| format!("  {note}\n")).collect();
     let note = "Numbers are medians, with the 5th and 95th percentile.";
     print(&format!("{}\n{note}\n\n{notes}{findings}", table(&rows)))?;
+    let device = device_choice::select(DeviceRequest::Auto)?;
+    let recommendation = Recommendation::new(&source, &dataset, &device.open()?, &device.to_string())?;
+    print(&format!("\nRecommended: {}\n{}", recommendation.command, table(&recommendation.settings)))?;
     if let Some(path) = &args.json {
-        write_json(path, &report)?;
+        write_json(path, &Inspected { report: &report, recommendation: &recommendation })?;
     }
     if let Some(out) = &args.out {
         let (sheet, map) = (out.join("contact_sheet.png"), out.join("cameras.svg"));

@@ -97,6 +97,9 @@ choices! {
         "off" => Off,
         /// Each has a small rotation and translation, which are learnt.
         "on" => On,
+        /// On if the points of the dataset are not where photographs show them, as COLMAP's keypoints say: by more than 1 px of
+        /// the photographs as they are trained on, in the median. Off where that is not known.
+        "auto" => Auto,
     }
 
     /// Kind of new Gaussians of the joint stage.

@@ -9,12 +9,13 @@ use toml::{Table, Value};
 use super::{Config, ConfigError, DataConfig, Key, SECTIONS, keys};
 
 /// Configurations that come with the program: name and TOML, which begins with a comment on what it is for.
-pub const PRESETS: [(&str, &str); 11] = [
+pub const PRESETS: [(&str, &str); 12] = [
     ("default", include_str!("../../configs/default.toml")),
     ("quick", include_str!("../../configs/quick.toml")),
     ("cpu", include_str!("../../configs/cpu.toml")),
     ("fast", include_str!("../../configs/fast.toml")),
     ("balanced", "# The defaults, between `fast` and `quality`."),
+    ("recommended", include_str!("../../configs/recommended.toml")),
     ("quality", include_str!("../../configs/quality.toml")),
     ("mipnerf360", include_str!("../../configs/mipnerf360.toml")),
     ("tanks-and-temples", include_str!("../../configs/tanks-and-temples.toml")),

@@ -18,6 +18,7 @@ use super::image::masks::Masked;
 use super::image::{codec, depth, masks, reading};
 use super::layout::Layout;
 use super::names::{in_folder, listing};
+use super::reprojection;
 use super::world::{drop_lost, mean_and_extent, near};
 use super::{Dataset, Format, LoadOptions, PointCloud, inventory};
 
@@ -88,6 +89,7 @@ pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOption
         let message = format!("the masks of {} views mask nothing: none of their pixels is black", masked.masked_views);
         notices.add(Kind::Unused, message, "make what is not to count black (0, not nearly so)");
     }
+    let reprojection_px = reprojection::judge(&source, &train, &mut notices);
     Ok(Dataset {
         train,
         test,
@@ -98,6 +100,7 @@ pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOption
         background,
         format: source.format,
         near,
+        reprojection_px,
         notices,
         spare_memory,
     })

@@ -16,6 +16,8 @@ const NAMED: usize = 3;
 pub enum Kind {
     /// A camera is far from all others: structure from motion has probably put it in the wrong place.
     FarPose,
+    /// The points of a view are not where its photograph shows them.
+    OffPose,
     NoPoints,
     FewPoints,
     Blurred,

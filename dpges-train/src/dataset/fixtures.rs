@@ -19,6 +19,8 @@ pub(crate) struct FixtureImage {
     pub name: String,
     pub pose: CameraFromWorld,
     pub rgb: [u8; 3],
+    /// Position, px, and index of the point that it shows; beside keypoints that are no points.
+    pub keypoints: Vec<([f64; 2], u64)>,
 }
 
 pub(crate) struct FixturePoint {
@@ -56,6 +58,7 @@ pub(crate) fn scene(count: usize) -> FixtureScene {
             name: format!("left/{index:03}.png"),
             pose: pose(index, count),
             rgb: [index as u8, 100, 200],
+            keypoints: Vec::new(),
         })
         .collect();
     let points = (0..5u32)
@@ -209,11 +212,12 @@ fn write_binary(folder: &Path, scene: &FixtureScene) {
         images.extend(5u32.to_le_bytes());
         images.extend(image.name.as_bytes());
         images.push(0);
-        let keypoints = u64::from(image.id % 3);
-        images.extend(keypoints.to_le_bytes());
-        for _ in 0..keypoints {
-            images.extend([1.5f64, 2.5].iter().flat_map(|v| v.to_le_bytes()));
-            images.extend(u64::MAX.to_le_bytes());
+        let of_no_point = std::iter::repeat_n(&([1.5, 2.5], u64::MAX), image.id as usize % 3);
+        let keypoints: Vec<_> = of_no_point.chain(&image.keypoints).collect();
+        images.extend((keypoints.len() as u64).to_le_bytes());
+        for (position, point) in keypoints {
+            images.extend(position.iter().flat_map(|v| v.to_le_bytes()));
+            images.extend(point.to_le_bytes());
         }
     }
     std::fs::write(folder.join("images.bin"), images).unwrap();
@@ -239,6 +243,7 @@ fn write_text(folder: &Path, scene: &FixtureScene) {
     for image in &scene.images {
         let ([w, x, y, z], t) = (wxyz(&image.pose), image.pose.translation);
         writeln!(images, "{} {w} {x} {y} {z} {} {} {} 5 {}", image.id, t.x, t.y, t.z, image.name).unwrap();
+        image.keypoints.iter().for_each(|([x, y], point)| write!(images, "{x} {y} {point} ").unwrap());
         writeln!(images, "{}", "1.5 2.5 -1 ".repeat(image.id as usize % 3)).unwrap();
     }
     std::fs::write(folder.join("images.txt"), images).unwrap();

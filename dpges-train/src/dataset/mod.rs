@@ -32,6 +32,7 @@ mod layout;
 mod load_options;
 pub(crate) mod names;
 pub mod neighbours;
+mod reprojection;
 pub mod source;
 mod split;
 mod tracks;
@@ -135,6 +136,9 @@ pub struct Dataset {
     pub format: Format,
     /// Near plane of every camera, world units.
     pub near: f64,
+    /// How far points are from where photographs show them, px of the photographs as they are here: the median over training
+    /// views; `None` if the dataset does not say where they are shown.
+    pub reprojection_px: Option<f64>,
     /// What it lacks, and what of its files is not used.
     pub notices: Notices,
     /// Memory of [`LoadOptions::memory`] that photographs do not use, bytes: room for other numbers per pixel.

@@ -47,6 +47,7 @@ pub mod own_pictures;
 mod peak_tests;
 #[cfg(test)]
 mod ranks_tests;
+pub mod recommendation;
 mod record;
 mod resume;
 pub mod scene;

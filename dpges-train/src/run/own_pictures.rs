@@ -66,6 +66,7 @@ pub fn config(scene: &SceneData, stage: StepStage) -> Config {
 /// The `train` views, in the coordinates of a scene with `info`.
 pub fn dataset(info: &SceneInfo, train: Vec<View>) -> Dataset {
     Dataset {
+        reprojection_px: None,
         train,
         test: Vec::new(),
         validation: Vec::new(),

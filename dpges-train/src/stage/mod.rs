@@ -33,7 +33,7 @@ use blended::BlendedStage;
 #[cfg(test)]
 pub use blended::ScreenGradients;
 pub use checkpoint::{StageCheckpoint, is_dealt};
-pub use context::{Context, budget};
+pub use context::{Context, budget, mean_pixels};
 pub use environment::EnvironmentState;
 pub use error::TrainError;
 use joint::{JointStage, Statistics};

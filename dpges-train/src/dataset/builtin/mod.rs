@@ -5,12 +5,13 @@ mod room;
 use std::f64::consts::TAU;
 
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use self::room::{Hit, trace};
+use super::check::median;
 use super::image::picture::linear;
 use super::world::mean_and_extent;
 use super::{Dataset, DepthKind, DepthMap, Format, Notices, Picture, PointCloud, View};
@@ -129,8 +130,10 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
     let centres: Vec<DVec3> = train.iter().map(|view| view.camera.centre()).collect();
     let (_, extent) = mean_and_extent(&centres);
     let points = surface_points(&train, options);
+    let shown_by: Vec<Camera> = train.iter().map(|view| view.camera).collect();
     misplace(&mut train, options, extent);
     Dataset {
+        reprojection_px: reprojection_px(&points, &train, &shown_by),
         points,
         test: views("test", options.test_views, 0.5, None),
         validation: Vec::new(),
@@ -143,6 +146,21 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
         notices: Notices::default(),
         spare_memory: usize::MAX,
     }
+}
+
+/// Median over `train` of the median distance of points from where `shown_by`, the cameras of the photographs, show them, px.
+fn reprojection_px(points: &PointCloud, train: &[View], shown_by: &[Camera]) -> Option<f64> {
+    let seen = points.seen_by.by_view(train.len());
+    let of_view = |index: usize| {
+        let distances = seen[index].iter().filter_map(|&point| {
+            let world = Vec3::from_array(points.positions[point as usize]).as_dvec3();
+            let [(x, y, _), (shown_x, shown_y, _)] =
+                [train[index].camera.project(world)?, shown_by[index].project(world)?];
+            Some((x - shown_x).hypot(y - shown_y))
+        });
+        median(distances)
+    };
+    median((0..train.len()).filter_map(of_view))
 }
 
 /// Puts the cameras of `views` where they did not take their photographs, as `options` ask for in a scene of `extent`.

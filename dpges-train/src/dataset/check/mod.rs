@@ -24,6 +24,7 @@ use serde::Serialize;
 pub use crate::dataset::finding::{Finding, Kind};
 pub use facts::ViewFacts;
 pub use statistics::Range;
+pub(in crate::dataset) use statistics::median;
 
 use crate::dataset::Dataset;
 

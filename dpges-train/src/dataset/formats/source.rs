@@ -93,6 +93,9 @@ pub(in crate::dataset) struct Source {
     /// Sorted by name.
     pub frames: Vec<Frame>,
     pub points: RawPoints,
+    /// Of each frame the median distance between points and where its photograph shows them, px of its camera; `None` where
+    /// that is unknown. Empty if it is of all.
+    pub reprojection_px: Vec<Option<f64>>,
     /// The file to name where the views as a whole are at fault.
     pub described_in: PathBuf,
     /// Why there may be no held-out view.
@@ -107,8 +110,9 @@ pub(in crate::dataset) struct Source {
 impl Source {
     /// Without views and points yet.
     pub fn new(format: Format, described_in: PathBuf, no_test_reason: &'static str) -> Self {
-        let (frames, missing, used, notices) = Default::default();
-        Self { format, frames, points: RawPoints::default(), described_in, no_test_reason, missing, used, notices }
+        let (frames, points, reprojection_px) = Default::default();
+        let (missing, used, notices) = Default::default();
+        Self { format, frames, points, reprojection_px, described_in, no_test_reason, missing, used, notices }
     }
 
     /// Says so if rotations of views, with their scales, were not quite those of a rigid motion.

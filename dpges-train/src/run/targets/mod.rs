@@ -21,6 +21,7 @@ use super::metrics_log::MetricsLog;
 use crate::config::Config;
 use crate::dataset::Dataset;
 use crate::eval::{EvalReport, TargetReport};
+pub use time::StepTimes;
 
 /// A time or a speed.
 #[derive(Clone, Debug, PartialEq)]

@@ -7,7 +7,7 @@ use burn::tensor::Device;
 
 use super::{Pursuit, TargetError, Unit};
 use crate::config::Config;
-use crate::dataset::Dataset;
+use crate::dataset::{BuiltinOptions, Dataset, builtin};
 use crate::eval::evaluate;
 use crate::run::{TrainError, Trainer};
 
@@ -16,6 +16,9 @@ const FIRST_STEPS: usize = 6;
 /// Share of the time that a rehearsal takes, and its length in steps.
 const REHEARSAL: f64 = 0.05;
 const REHEARSAL_STEPS: [usize; 2] = [30, 300];
+/// Steps on the built-in scene, and its sides, px.
+const BUILTIN_STEPS: usize = 60;
+const BUILTIN_SIDES: [usize; 2] = [64, 160];
 /// A run needs so many steps to be one.
 const FEWEST_STEPS: f64 = 20.0;
 /// No run is longer, whatever the time.
@@ -82,6 +85,38 @@ pub(super) fn plan(
     Ok(Pursuit { asked, unit: Unit::Seconds, expected: costs.of(config), how, cameras: Vec::new() })
 }
 
+/// How long steps last on a device, by the built-in scene in two sizes: a time of their own and one per pixel, since budgets
+/// grow with pixels.
+pub struct StepTimes {
+    /// Pixels and seconds of a step of each.
+    measured: [(f64, f64); 2],
+}
+
+impl StepTimes {
+    /// Measures steps of `config`, for some seconds.
+    ///
+    /// # Errors
+    /// [`TargetError::Train`].
+    pub fn of_builtin(config: &Config, device: &Device) -> Result<Self, TargetError> {
+        let mut rehearsal = config.clone();
+        (rehearsal.train.steps, rehearsal.train.evaluate_every) = (BUILTIN_STEPS, 0);
+        let step_of = |side: usize| {
+            let options = BuiltinOptions { width: side, height: side, test_views: 0, ..BuiltinOptions::default() };
+            let costs = rehearse(rehearsal.clone(), &Arc::new(builtin(&options)), device)?;
+            Ok::<_, TargetError>(((side * side) as f64, costs.step))
+        };
+        let [small, large] = BUILTIN_SIDES;
+        Ok(Self { measured: [step_of(small)?, step_of(large)?] })
+    }
+
+    /// Seconds of a step on a view of `pixels`.
+    pub fn step(&self, pixels: usize) -> f64 {
+        let [(few, of_few), (many, of_many)] = self.measured;
+        let per_pixel = ((of_many - of_few) / (many - few)).max(0.0);
+        (of_few + per_pixel * (pixels as f64 - few)).max(0.5 * of_few)
+    }
+}
+
 fn rehearse(config: Config, dataset: &Arc<Dataset>, device: &Device) -> Result<Costs, TargetError> {
     let steps = config.total_steps();
     let mut trainer = Trainer::new(config, Arc::clone(dataset), device.clone())?;
@@ -120,6 +155,14 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn steps_last_longer_on_larger_views() {
+        let times = StepTimes { measured: [(1000.0, 0.02), (3000.0, 0.03)] };
+        assert!((times.step(2000) - 0.025).abs() < 1e-12 && (times.step(11_000) - 0.07).abs() < 1e-12);
+        // noise does not make large views faster than small ones
+        assert_eq!(StepTimes { measured: [(1000.0, 0.02), (3000.0, 0.01)] }.step(1_000_000), 0.02);
+    }
 
     #[test]
     fn steps_fill_the_time() {

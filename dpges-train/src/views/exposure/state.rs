@@ -21,7 +21,7 @@ static EXPOSURE: Attribute = Attribute {
     neutral: &[0.0],
 };
 /// Spread of brightness above which a run with `train.exposure = "auto"` corrects exposures, stops.
-const LARGE_SPREAD: f64 = 0.1;
+pub const LARGE_SPREAD: f64 = 0.1;
 
 /// The corrections of a run, [views, 6]; `None` in runs without any. Their means over the views are 0, so that the scene cannot
 /// change its own exposure through them.

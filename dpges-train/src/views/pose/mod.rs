@@ -13,7 +13,7 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::View;
-pub use refinement::PoseState;
+pub use refinement::{LARGE_PX, PoseState, are_learnt};
 
 /// Angle below which the series of the Jacobian are used, rad: its terms would cancel.
 const SMALL: f64 = 1e-3;

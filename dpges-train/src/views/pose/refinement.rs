@@ -22,6 +22,9 @@ use crate::views::pose::{PoseChanges, PoseCorrection, RefinedPose, RefinedPoses}
 pub const POSES: &str = "poses";
 const STEPS: &str = "pose_steps";
 const GRADIENTS: &str = "pose_gradients";
+/// Distance of points from where photographs show them above which a run with `train.poses = "auto"` corrects cameras, px.
+/// Structure from motion leaves a tenth to a third of it in pictures of 640 px.
+pub const LARGE_PX: f64 = 1.0;
 
 /// The corrections of a run; empty in runs without any. No similarity of the whole world is part of them: the scene cannot
 /// drift with all cameras together.
@@ -172,13 +175,25 @@ impl Refinement {
     }
 }
 
+/// Whether a run on `dataset` with `train.poses` learns poses.
+pub fn are_learnt(poses: Poses, dataset: &Dataset) -> bool {
+    match poses {
+        Poses::Off => false,
+        Poses::On => true,
+        Poses::Auto => dataset.reprojection_px.is_some_and(|px| px > LARGE_PX),
+    }
+}
+
 impl Context {
     /// The corrections that a run begins with.
     pub fn start_of_poses(&self) -> PoseState {
-        match self.config.train.poses {
-            Poses::Off => PoseState::default(),
-            Poses::On => PoseState::new(&self.dataset),
+        let is_on = are_learnt(self.config.train.poses, &self.dataset);
+        if let (Some(px), false) = (self.dataset.reprojection_px.filter(|&px| px > LARGE_PX), is_on) {
+            tracing::info!(
+                "points are {px:.1} px from where photographs show them: train.poses = \"on\" corrects cameras"
+            );
         }
+        if is_on { PoseState::new(&self.dataset) } else { PoseState::default() }
     }
 
     /// Receives the gradient of the pose of the training view with index `view`; `None` if poses are not learnt, or not
@@ -234,6 +249,7 @@ mod tests {
     use dpges_core::ops::adam::AdamStep;
 
     use super::*;
+    use crate::dataset::{BuiltinOptions, builtin};
     use crate::run::fixtures::dataset;
     use crate::views::pose::gauge::Similarity;
 
@@ -247,6 +263,20 @@ mod tests {
 
     fn advance(state: &mut PoseState, completed: usize) -> bool {
         state.advance(completed, |_| STEP)
+    }
+
+    #[test]
+    fn poses_are_learnt_where_points_are_not_where_photographs_show_them() {
+        let of = |pose_degrees: f64| {
+            let options =
+                BuiltinOptions { train_views: 4, test_views: 0, points: 60, pose_degrees, ..Default::default() };
+            builtin(&options)
+        };
+        let (exact, off) = (of(0.0), of(2.0));
+        assert!(exact.reprojection_px.unwrap() < 1e-9 && off.reprojection_px.unwrap() > 1.0);
+        assert!(!are_learnt(Poses::Auto, &exact) && are_learnt(Poses::Auto, &off));
+        assert!(are_learnt(Poses::On, &exact) && !are_learnt(Poses::Off, &off));
+        assert!(!are_learnt(Poses::Auto, &Dataset { reprojection_px: None, ..off }));
     }
 
     #[test]

@@ -5,12 +5,14 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use super::camera_model::{self, CameraRecord};
-use super::{ImageRecord, PointRecord, PointRecords};
+use super::{ImageRecord, PointRecord, PointRecords, some_observed};
 use crate::dataset::error::{DatasetError, Result, unreadable};
 
 const CAMERA_BYTES: usize = 24;
 const IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
 const KEYPOINT_BYTES: usize = 24;
+/// The id of a keypoint that is no point.
+const NO_POINT: u64 = u64::MAX;
 const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
 const OBSERVATION_BYTES: usize = 8;
 
@@ -52,9 +54,14 @@ pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
             let camera_id = fields.u32();
             let name = bytes.name(what)?;
             let keypoints = || format!("the keypoints of image `{name}`");
-            let skipped = bytes.count(KEYPOINT_BYTES, keypoints)? * KEYPOINT_BYTES;
-            bytes.skip(skipped, keypoints)?;
-            Ok(ImageRecord { id, camera_id, name, wxyz, translation })
+            let count = bytes.count(KEYPOINT_BYTES, keypoints)?;
+            let mut fields = bytes.record(count * KEYPOINT_BYTES, keypoints)?;
+            let keypoint = |_| {
+                let position = [fields.f64(), fields.f64()];
+                Some((fields.u64(), position)).filter(|(point, _)| *point != NO_POINT)
+            };
+            let observed = some_observed((0..count).filter_map(keypoint).collect());
+            Ok(ImageRecord { id, camera_id, name, wxyz, translation, observed })
         })
         .collect()
 }
@@ -68,7 +75,7 @@ pub(super) fn points(path: &Path) -> Result<PointRecords<'_>> {
     let observations = (bytes.left as usize - count * POINT_BYTES) / OBSERVATION_BYTES;
     let records = (0..count).map(move |index| {
         let mut fields = bytes.record(POINT_BYTES - 8, || format!("point {index} of {count}"))?;
-        let _id = fields.u64();
+        let id = fields.u64();
         let position = std::array::from_fn(|_| fields.f64());
         let rgb = fields.array();
         let track = || format!("the track of point {index} of {count}");
@@ -76,7 +83,7 @@ pub(super) fn points(path: &Path) -> Result<PointRecords<'_>> {
         let mut fields = bytes.record(observations * OBSERVATION_BYTES, track)?;
         // each is the number of an image, then that of a keypoint
         let track = (0..observations).map(|_| [fields.u32(), fields.u32()][0]).collect();
-        Ok(PointRecord { position, rgb, track })
+        Ok(PointRecord { id, position, rgb, track })
     });
     Ok(PointRecords { count, observations, records: Box::new(records) })
 }
@@ -106,12 +113,6 @@ impl<'a> Bytes<'a> {
         self.record.resize(length, 0);
         self.reader.read_exact(&mut self.record).map_err(unreadable(self.path))?;
         Ok(Fields(&self.record))
-    }
-
-    /// Passes by the next `length` bytes.
-    fn skip(&mut self, length: usize, what: impl Fn() -> String) -> Result<()> {
-        self.take(length as u64, what)?;
-        self.reader.seek_relative(length as i64).map_err(unreadable(self.path))
     }
 
     fn take(&mut self, length: u64, what: impl Fn() -> String) -> Result<()> {

@@ -9,7 +9,7 @@ mod camera_model;
 mod radial_fit;
 mod text;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use dpges_core::camera::{Camera, CameraFromWorld};
@@ -18,6 +18,7 @@ use glam::DVec3;
 use self::camera_model::CameraRecord;
 use super::source::{Frame, RawPoints, Source};
 use super::{ply, split};
+use crate::dataset::check::median;
 use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::layout::Layout;
 use crate::dataset::names::listing;
@@ -25,6 +26,9 @@ use crate::dataset::{Format, LoadOptions, Tracks};
 
 /// Difference from 1 of the length of a quaternion that is said.
 const MOST_SCALED: f64 = 1e-2;
+/// Keypoints of an image by which its camera is judged: at least, at most.
+const FEWEST_OBSERVED: usize = 16;
+const MOST_OBSERVED: usize = 256;
 
 /// A registered image.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,11 +40,14 @@ struct ImageRecord {
     /// Unit quaternion (w, x, y, z) and translation, world to camera.
     wxyz: [f64; 4],
     translation: [f64; 3],
+    /// Some of its keypoints that are points: id of the point, position, px.
+    observed: Vec<(u64, [f64; 2])>,
 }
 
 /// A triangulated point.
 #[derive(Clone, Debug, PartialEq)]
 struct PointRecord {
+    id: u64,
     position: [f64; 3],
     rgb: [u8; 3],
     /// Ids of the images that observe it, one per observation.
@@ -63,7 +70,9 @@ pub(in crate::dataset) fn read(layout: &Layout, models: &[PathBuf], options: &Lo
     });
     source.say_scaled(&scaled.collect::<Vec<_>>());
     let frame_of = read_frames(&mut source, layout, &model, &images, options)?;
-    source.points = points(layout, &model, &frame_of, &mut source.used)?;
+    let (points, observed) = points(layout, &model, &frame_of, &images, &mut source.used)?;
+    source.points = points;
+    source.reprojection_px = reprojection_px(&source.frames, &images, &frame_of, &observed);
     Ok(source)
 }
 
@@ -213,21 +222,71 @@ fn read_frames(
     Ok(frame_of)
 }
 
-/// The points of the model, or those of a PLY file beside it; none if there are none.
-fn points(layout: &Layout, model: &Path, frame_of: &BTreeMap<u32, u32>, used: &mut Vec<PathBuf>) -> Result<RawPoints> {
+/// The points of the model, or those of a PLY file beside it; none if there are none. With them, by their ids, the positions of
+/// those that keypoints of `images` name.
+fn points(
+    layout: &Layout,
+    model: &Path,
+    frame_of: &BTreeMap<u32, u32>,
+    images: &[ImageRecord],
+    used: &mut Vec<PathBuf>,
+) -> Result<(RawPoints, HashMap<u64, DVec3>)> {
     let Ok(path) = file(model, "points3D") else {
-        return ply::beside(&layout.folder, model, used);
+        return Ok((ply::beside(&layout.folder, model, used)?, HashMap::new()));
     };
+    let named: HashSet<u64> = images.iter().flat_map(|image| &image.observed).map(|(point, _)| *point).collect();
+    let mut observed = HashMap::with_capacity(named.len());
     let PointRecords { count, observations, records } = records(&path)?;
     let (positions, colours) = (Vec::with_capacity(count), Vec::with_capacity(count));
     let mut points = RawPoints { positions, colours, seen_by: Tracks::with_room(count, observations) };
     for record in records {
         let record = record?;
-        points.positions.push(DVec3::from_array(record.position));
+        let position = DVec3::from_array(record.position);
+        if named.contains(&record.id) {
+            observed.insert(record.id, position);
+        }
+        points.positions.push(position);
         points.colours.push(record.rgb.map(|channel| f32::from(channel) / 255.0));
         points.seen_by.push(record.track.iter().filter_map(|image| frame_of.get(image).copied()));
     }
-    if points.positions.is_empty() { ply::beside(&layout.folder, model, used) } else { Ok(points) }
+    if points.positions.is_empty() {
+        points = ply::beside(&layout.folder, model, used)?;
+    }
+    Ok((points, observed))
+}
+
+/// Of each of the `frames` the median distance between its keypoints and the points that they are, px of its camera; `None`
+/// without enough of them.
+fn reprojection_px(
+    frames: &[Frame],
+    images: &[ImageRecord],
+    frame_of: &BTreeMap<u32, u32>,
+    points: &HashMap<u64, DVec3>,
+) -> Vec<Option<f64>> {
+    let mut errors = vec![None; frames.len()];
+    for image in images {
+        let Some(&frame) = frame_of.get(&image.id) else { continue };
+        let camera = &frames[frame as usize].camera;
+        let distances = image.observed.iter().filter_map(|(point, [x, y])| {
+            let (shown_x, shown_y, _) = camera.project(*points.get(point)?)?;
+            Some((shown_x - x).hypot(shown_y - y))
+        });
+        let distances: Vec<f64> = distances.collect();
+        errors[frame as usize] = if distances.len() < FEWEST_OBSERVED { None } else { median(distances) };
+    }
+    errors
+}
+
+/// At most [`MOST_OBSERVED`] of the keypoints of an image, evenly spread.
+fn some_observed(mut all: Vec<(u64, [f64; 2])>) -> Vec<(u64, [f64; 2])> {
+    let step = all.len().div_ceil(MOST_OBSERVED).max(1);
+    let mut index = 0;
+    all.retain(|_| {
+        index += 1;
+        (index - 1) % step == 0
+    });
+    all.shrink_to_fit();
+    all
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@ use std::path::Path;
 
 use crate::dataset::fixtures::{self, Encoding, assert_refused, assert_says, colmap_folder, said};
 use crate::dataset::{Dataset, LoadOptions, load};
-use dpges_core::camera::{Distortion, Projection};
+use dpges_core::camera::{Camera, Distortion, Projection};
 use glam::DVec3;
 
 fn loaded(folder: &Path) -> Dataset {
@@ -285,4 +285,40 @@ fn quaternions_and_lines_as_other_programs_leave_them() {
         said(&data),
         &["Changed: rotations of views were scaled or rounded (3)", "left/a b 000.png (scale 2.000)"],
     );
+}
+
+#[test]
+fn cameras_that_do_not_stand_where_their_keypoints_say_are_named() {
+    let mut scene = fixtures::scene(10);
+    let position = |index: u32| DVec3::new(0.05 * f64::from(index % 6), 0.1 - 0.04 * f64::from(index % 5), 0.0);
+    scene.points = (0..30)
+        .map(|index| fixtures::FixturePoint { position: position(index), rgb: [9; 3], track: vec![107, 114] })
+        .collect();
+    let camera = |pose| Camera::pinhole(pose, 20.0, [24, 16], 0.1);
+    for image in &mut scene.images {
+        let shown = |index: u32| camera(image.pose).project(position(index)).unwrap();
+        // half a pixel beside where it is
+        let keypoint = |index| (shown(index), u64::from(index));
+        image.keypoints = (0..30).map(keypoint).map(|((x, y, _), point)| ([x + 0.3, y - 0.4], point)).collect();
+    }
+    let loaded_as = |scene: &fixtures::FixtureScene, encoding| loaded(colmap_folder(scene, encoding).path());
+    let near = |data: &Dataset, px: f64| (data.reprojection_px.unwrap() - px).abs() < 1e-6;
+    for encoding in [Encoding::Binary, Encoding::Text] {
+        let exact = loaded_as(&scene, encoding);
+        assert!(near(&exact, 0.5) && said(&exact).is_empty(), "{:?}: {}", exact.reprojection_px, said(&exact));
+    }
+    let off = scene.images.iter_mut().find(|image| image.name == "left/003.png").unwrap();
+    off.pose = off.pose.moved(DVec3::new(0.0, 0.0, 0.2), DVec3::ZERO);
+    let data = loaded_as(&scene, Encoding::Binary);
+    assert!(near(&data, 0.5));
+    assert_says(said(&data), &["OffPose", "others miss by 0.5 px (1): left/003.png (", "train.poses=on"]);
+    let half = LoadOptions { max_resolution: Some(12), ..LoadOptions::default() };
+    let folder = colmap_folder(&scene, Encoding::Binary);
+    assert!(near(&load(folder.path(), &half).unwrap(), 0.25), "px of the pictures that are trained on");
+    // keypoints of pictures of another size say nothing
+    let wrong = |([x, y], point): &([f64; 2], u64)| ([4.0 * x, 4.0 * y], *point);
+    scene.images.iter_mut().for_each(|image| image.keypoints = image.keypoints.iter().map(wrong).collect());
+    let other = loaded_as(&scene, Encoding::Binary);
+    assert_eq!((other.reprojection_px, said(&other)), (None, String::new()));
+    assert_eq!(loaded_as(&fixtures::scene(10), Encoding::Text).reprojection_px, None);
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::camera_model::CameraRecord;
-use super::{ImageRecord, PointRecord, PointRecords};
+use super::{ImageRecord, PointRecord, PointRecords, some_observed};
 use crate::dataset::error::{DatasetError, Result, read_text};
 
 /// # Errors
@@ -33,20 +33,28 @@ pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
     let mut lines = lines(path, &text, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME").peekable();
     let mut images = Vec::new();
     while let Some(mut line) = lines.by_ref().find(Line::is_entry) {
-        images.push(ImageRecord {
+        let mut image = ImageRecord {
             id: line.next()?,
             wxyz: [line.next()?, line.next()?, line.next()?, line.next()?],
             translation: [line.next()?, line.next()?, line.next()?],
             camera_id: line.next()?,
             name: line.remainder()?,
-        });
+            observed: Vec::new(),
+        };
         // some programs write no line for an image without keypoints
         let is_number = |word: &str| word.parse::<f64>().is_ok();
-        let Some(keypoints) = lines.next_if(|line| line.text.split_whitespace().all(is_number)) else { continue };
-        if keypoints.text.split_whitespace().count() % 3 != 0 {
-            let layout = "X Y POINT3D_ID triples or an empty line after each image";
-            return Err(Line { layout, ..keypoints }.malformed());
+        if let Some(keypoints) = lines.next_if(|line| line.text.split_whitespace().all(is_number)) {
+            let numbers: Vec<f64> = keypoints.rest()?;
+            let (triples, rest) = numbers.as_chunks::<3>();
+            if !rest.is_empty() {
+                let layout = "X Y POINT3D_ID triples or an empty line after each image";
+                return Err(Line { layout, ..keypoints }.malformed());
+            }
+            // -1 stands for no point
+            let points = triples.iter().filter(|[_, _, point]| *point >= 0.0);
+            image.observed = some_observed(points.map(|&[x, y, point]| (point as u64, [x, y])).collect());
         }
+        images.push(image);
     }
     Ok(images)
 }
@@ -56,15 +64,15 @@ pub(super) fn images(path: &Path) -> Result<Vec<ImageRecord>> {
 pub(super) fn points(path: &Path) -> Result<PointRecords<'_>> {
     let text = read_text(path)?;
     let point = |mut line: Line| {
-        let _id: u64 = line.next()?;
+        let id: u64 = line.next()?;
         let position = [line.next()?, line.next()?, line.next()?];
         if line.unread.trim().is_empty() {
-            return Ok(PointRecord { position, rgb: [128; 3], track: Vec::new() });
+            return Ok(PointRecord { id, position, rgb: [128; 3], track: Vec::new() });
         }
         let rgb = [line.next()?, line.next()?, line.next()?];
         let _error: f64 = line.next()?;
         let track: Vec<u32> = line.rest()?.chunks(2).map(|observation: &[u32]| observation[0]).collect();
-        Ok(PointRecord { position, rgb, track })
+        Ok(PointRecord { id, position, rgb, track })
     };
     let lines = lines(path, &text, "POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX)");
     let records = lines.filter(Line::is_entry).map(point).collect::<Result<Vec<PointRecord>>>()?;
