@@ -21,7 +21,7 @@ use safetensors::{Dtype, SafeTensors};
 use serde_json::Value;
 
 use super::compressed;
-use super::container::{Rows, bytes, lobe_names, read, row_count, scene_file, unreadable};
+use super::container::{Rows, bytes, lobe_names, read, row_count, scene_file, serialize, unreadable};
 use super::data::check_numbers;
 use super::lobes::{LOBE_LEN, pack, unpack};
 use super::schema::{Attribute, Columns, ENVIRONMENT, Width};
@@ -76,6 +76,20 @@ impl SceneData {
     /// [`Error::SceneFile`], as [`load`](Self::load).
     pub fn from_bytes(bytes: &[u8], name: &str) -> Result<Self> {
         parse(bytes).map_err(|reason| Error::SceneFile { path: name.into(), reason })
+    }
+
+    /// Writes into the scene file at `path`, plain or compressed, how many metres a world unit has. Nothing else changes.
+    ///
+    /// # Errors
+    /// Those of [`load`](Self::load); [`Error::SceneFile`] unless the number is positive and finite; [`Error::Io`].
+    pub fn set_metres_per_unit(path: &Path, metres_per_unit: f64) -> Result<()> {
+        let wrong = |reason| Error::SceneFile { path: path.to_owned(), reason };
+        let bytes =
+            std::fs::read(path).map_err(|source| Error::Io { action: "cannot read", path: path.to_owned(), source })?;
+        let Self { info, .. } = parse(&bytes).map_err(wrong)?;
+        let info = SceneInfo { metres_per_unit: Some(metres_per_unit), ..info };
+        let bytes = check_info(&info).and_then(|()| with_info(&bytes, &info)).map_err(wrong)?;
+        write_atomically(path, |file| file.write_all(&bytes))
     }
 
     /// The first problem of the scene, for a file at `path`.
@@ -167,6 +181,15 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
     Ok(scene)
 }
 
+/// The scene file `bytes` with another info.
+fn with_info(bytes: &[u8], info: &SceneInfo) -> Result<Vec<u8>, String> {
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;
+    let file = SafeTensors::deserialize(bytes).map_err(unreadable)?;
+    let mut metadata = header.metadata().clone().unwrap_or_default();
+    metadata.insert("info".to_owned(), serde_json::to_string(info).map_err(|error| error.to_string())?);
+    serialize(file.tensors(), metadata).map_err(|error| error.to_string())
+}
+
 fn read_info(text: &str) -> serde_json::Result<SceneInfo> {
     let mut info: Value = serde_json::from_str(text)?;
     if let Some(entries) = info.as_object_mut().filter(|entries| !entries.contains_key("peeling")) {
@@ -235,7 +258,9 @@ fn check_info(info: &SceneInfo) -> Result<(), String> {
     let up = info.up.unwrap_or([0.0, -1.0, 0.0]);
     check("up", finite(&up) && up != [0.0; 3], format!("{up:?}"), "a direction")?;
     check("extent", info.extent.is_finite() && info.extent >= 0.0, info.extent.to_string(), "a number of at least 0")?;
-    check("near", positive(info.near), info.near.to_string(), "a positive number")
+    check("near", positive(info.near), info.near.to_string(), "a positive number")?;
+    let metres = info.metres_per_unit.unwrap_or(1.0);
+    check("metres_per_unit", positive(metres), metres.to_string(), "a positive number")
 }
 
 #[cfg(test)]
@@ -245,7 +270,7 @@ mod tests {
     use super::*;
     use crate::scene::container::{GAUSSIAN_LOBES, SURFEL_LOBES, environment};
     use crate::scene::lobes::ABSENT_LOBE;
-    use crate::scene::{BlendOrder, ScreenFilter};
+    use crate::scene::{BlendOrder, Quality, ScreenFilter};
     use crate::testing::scenes::numbered;
 
     const TWO_LOBES: ColourModel = ColourModel::SphericalBeta { lobes: 2 };
@@ -316,6 +341,38 @@ mod tests {
     }
 
     #[test]
+    fn a_scale_is_set_and_changes_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let [plain, compressed, set] = ["plain", "compressed", "set"].map(|name| folder.path().join(name));
+        let scene = scene(TWO_LOBES, 3, 5);
+        let scaled =
+            SceneData { info: SceneInfo { metres_per_unit: Some(0.25), ..scene.info.clone() }, ..scene.clone() };
+        scene.save(&plain).unwrap();
+        SceneData::set_metres_per_unit(&plain, 0.25).unwrap();
+        assert_eq!(std::fs::read(&plain).unwrap(), scaled.to_bytes(&plain).unwrap());
+
+        scene.save_compressed(&compressed, &Quality::MEDIUM).unwrap();
+        SceneData::set_metres_per_unit(&compressed, 0.25).unwrap();
+        scaled.save_compressed(&set, &Quality::MEDIUM).unwrap();
+        assert_eq!(std::fs::read(&compressed).unwrap(), std::fs::read(&set).unwrap());
+
+        for wrong in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let message = SceneData::set_metres_per_unit(&plain, wrong).unwrap_err().to_string();
+            assert!(message.contains("metres_per_unit"), "{message}");
+        }
+        assert_eq!(SceneData::load(&plain).unwrap(), scaled, "refused, and as it was");
+    }
+
+    #[test]
+    fn larger_coordinates_have_fewer_metres_per_unit() {
+        let info =
+            SceneInfo { offset: [1.0, -2.0, 0.5], near: 0.5, metres_per_unit: Some(3.0), ..SceneInfo::default() };
+        let scaled = info.scaled(2.0);
+        assert_eq!((scaled.offset, scaled.near, scaled.extent), ([2.0, -4.0, 1.0], 1.0, 2.0));
+        assert_eq!((scaled.metres_per_unit, scaled.up), (Some(1.5), info.up));
+    }
+
+    #[test]
     fn what_was_saved_is_loaded_for_every_colour_model_and_for_empty_sets() {
         let folder = tempfile::tempdir().unwrap();
         for model in ["sb0", "sb2", "sh0", "sh3", "sh0+opacity", "sh3+opacity"] {
@@ -341,9 +398,7 @@ mod tests {
         assert_eq!(SceneData::load(&path).unwrap(), students);
         let picked = students.gaussians.select(&[3, 0]);
         assert_eq!(picked.degrees_of_freedom, Some(vec![1e4, 1.0]));
-        assert!(
-            students.to_compressed(&crate::scene::Quality::LOW, &path).unwrap_err().to_string().contains("Student")
-        );
+        assert!(students.to_compressed(&Quality::LOW, &path).unwrap_err().to_string().contains("Student"));
         let without = load_bytes(&save_bytes(&students, |_| (), "gaussians.degrees_of_freedom"));
         assert!(without.contains("`gaussians.degrees_of_freedom`"), "{without}");
         students.info.rendering = Rendering::Ellipsoids;

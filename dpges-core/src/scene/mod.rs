@@ -9,6 +9,7 @@ pub mod container;
 pub mod data;
 mod environment;
 pub mod file;
+pub mod length;
 pub mod lobes;
 pub mod lod;
 pub mod peeling;
@@ -163,6 +164,9 @@ pub struct SceneInfo {
     pub extent: f64,
     /// World units; cameras made for this scene use it.
     pub near: f64,
+    /// Metres per world unit, where someone has measured a length. `None` if nobody has, as in all older files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub metres_per_unit: Option<f64>,
 }
 
 impl SceneInfo {
@@ -175,6 +179,18 @@ impl SceneInfo {
         let as_published = matches!(self.rendering, Rendering::Discs | Rendering::Students)
             || self.screen_filter == ScreenFilter::Plain;
         if as_published { 0.99 } else { 0.999 }
+    }
+
+    /// That of the same scene in coordinates which are `factor` times as large.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self {
+            offset: self.offset.map(|x| factor * x),
+            extent: factor * self.extent,
+            near: factor * self.near,
+            metres_per_unit: self.metres_per_unit.map(|metres| metres / factor),
+            ..self.clone()
+        }
     }
 }
 
@@ -196,6 +212,7 @@ impl Default for SceneInfo {
             up: None,
             extent: 1.0,
             near: 0.01,
+            metres_per_unit: None,
         }
     }
 }

@@ -73,6 +73,18 @@ impl SplatCloud {
         }
     }
 
+    /// The cloud in coordinates that are `factor` times as large.
+    #[must_use]
+    pub fn scaled(mut self, factor: f64) -> Self {
+        if factor != 1.0 {
+            let grown = |x: &mut f32| *x = (factor * f64::from(*x)) as f32;
+            self.positions.as_flattened_mut().iter_mut().for_each(grown);
+            self.log_scales.as_flattened_mut().iter_mut().for_each(|scale| *scale += factor.ln() as f32);
+            self.info = self.info.scaled(factor);
+        }
+        self
+    }
+
     /// The cloud in the world that `rotation` makes of the old one: centres, axes and colours. The
     /// [`info`](Self::info) stays.
     #[must_use]
@@ -128,6 +140,18 @@ pub(super) mod tests {
                 ..SceneInfo::default()
             },
         }
+    }
+
+    #[test]
+    fn a_scaled_cloud_has_larger_places_and_sizes_and_says_so() {
+        let mut cloud = sample(2, 1);
+        cloud.info.metres_per_unit = Some(0.5);
+        let scaled = cloud.clone().scaled(0.5);
+        assert_eq!(scaled.positions[1][2], 0.5 * cloud.positions[1][2]);
+        assert!((scaled.log_scales[1][0].exp() - 0.5 * cloud.log_scales[1][0].exp()).abs() < 1e-6);
+        assert_eq!((scaled.info.metres_per_unit, scaled.info.offset), (Some(1.0), [50.0, -10.25, 1.5]));
+        assert_eq!((&scaled.harmonics, &scaled.opacities), (&cloud.harmonics, &cloud.opacities));
+        assert_eq!(cloud.clone().scaled(1.0), cloud);
     }
 
     #[test]

@@ -85,9 +85,11 @@ impl GlbBuilder {
         self.accessors.len() - 1
     }
 
-    /// The bytes of the file of `primitive`. `note`, the offset of the scene and all of its `info` stand in `asset.extras`.
+    /// The bytes of the file of `primitive`, in metres where the `info` of its scene says how long a world unit is. `note`, the
+    /// offset of the scene in the unit of the file and all of its info stand in `asset.extras`.
     pub fn finish(self, primitive: Value, extension: Option<&str>, note: &str, info: &SceneInfo) -> Vec<u8> {
-        let extras = json!({ "note": note, "offset": info.offset, INFO: info });
+        let offset = info.scaled(info.metres_per_unit.unwrap_or(1.0)).offset;
+        let extras = json!({ "note": note, "offset": offset, INFO: info });
         let mut document = json!({
             "accessors": self.accessors,
             "asset": { "generator": GENERATOR, "version": "2.0", "extras": extras },

@@ -88,9 +88,10 @@ fn all_of(info: &SceneInfo) -> String {
 fn ply_head(notes: &[&str], info: &SceneInfo) -> String {
     let notes: String = notes.iter().map(|note| format!("comment {note}\n")).collect();
     let (up, [x, y, z]) = (Up::of(info), info.offset);
+    let unit = info.metres_per_unit.map_or_else(String::new, |metres| format!("comment Unit: {metres} metres\n"));
     format!(
         "ply\nformat binary_little_endian 1.0\ncomment Exported from {GENERATOR}\n{notes}comment Vertical axis: {up}\n\
-         comment Offset: {x} {y} {z} (add it to positions to get coordinates of the dataset)\n"
+         {unit}comment Offset: {x} {y} {z} (add it to positions to get coordinates of the dataset)\n"
     )
 }
 

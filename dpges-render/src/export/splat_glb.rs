@@ -23,7 +23,7 @@ const EXTENSION: &str = "KHR_gaussian_splatting";
 /// Mode of primitives.
 const POINTS: u32 = 0;
 
-/// The bytes of the file of `cloud`, turned upright.
+/// The bytes of the file of `cloud`, turned upright, and in metres, the unit of glTF, where it is known how long a world unit is.
 ///
 /// # Errors
 /// [`ExportError::TooMany`] if the file would exceed the 4 GiB that its header can say.
@@ -33,7 +33,8 @@ pub fn to_glb(cloud: &SplatCloud) -> Result<Vec<u8>, ExportError> {
     if cloud.len() > limit {
         return Err(ExportError::TooMany { count: cloud.len(), limit });
     }
-    let cloud = cloud.rotated(Up::of(&cloud.info).to_gltf());
+    let info = &cloud.info;
+    let cloud = cloud.rotated(Up::of(info).to_gltf()).scaled(info.metres_per_unit.unwrap_or(1.0));
     let rows = || (0..cloud.len()).map(|row| cloud.harmonics_of(row));
     let byte = |value: f64| (255.0 * value).round().clamp(0.0, 255.0) as u8;
     let fallback = rows().zip(&cloud.opacities).map(|(k, &opacity)| {
@@ -61,7 +62,7 @@ pub fn to_glb(cloud: &SplatCloud) -> Result<Vec<u8>, ExportError> {
         "sortingMethod": "cameraDistance",
     });
     let primitive = json!({ "mode": POINTS, "attributes": attributes, "extensions": { EXTENSION: kernel } });
-    Ok(glb.finish(primitive, Some(EXTENSION), APPROXIMATION, &cloud.info))
+    Ok(glb.finish(primitive, Some(EXTENSION), APPROXIMATION, info))
 }
 
 /// The splats of a file, with all of its nodes where they stand; in axes with −y upwards if it does not say what is up in its
@@ -80,8 +81,10 @@ pub(super) fn read(bytes: &[u8], folder: &Path) -> Result<(SplatCloud, Notes), S
     if all.is_empty() {
         return Err(format!("no node of its scene has splats ({EXTENSION})"));
     }
-    let to_scene = Up::of(&all.info).to_gltf().transpose();
-    Ok((all.rotated(to_scene), notes))
+    let info = all.info.clone();
+    let in_world_units =
+        all.rotated(Up::of(&info).to_gltf().transpose()).scaled(1.0 / info.metres_per_unit.unwrap_or(1.0));
+    Ok((SplatCloud { info, ..in_world_units }, notes))
 }
 
 /// Deepest tree of nodes.
@@ -206,6 +209,22 @@ mod tests {
             (read.positions, read.opacities, read.harmonics),
             (cloud.positions, cloud.opacities, cloud.harmonics)
         );
+    }
+
+    #[test]
+    fn a_file_is_in_metres_and_read_in_world_units() {
+        let plain = sample(3, 1);
+        let cloud =
+            SplatCloud { info: SceneInfo { metres_per_unit: Some(0.25), ..plain.info.clone() }, ..plain.clone() };
+        let (gltf, read) = read_back(&to_glb(&cloud).unwrap());
+        let (in_units, _) = read_back(&to_glb(&plain).unwrap());
+        let [metres, units] = [gltf, in_units]
+            .map(|gltf| gltf.numbers::<3>(&gltf.document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]));
+        assert_eq!(metres.unwrap()[2], units.unwrap()[2].map(|x| 0.25 * x));
+        assert_eq!((read.info, read.positions.len()), (cloud.info.clone(), 3));
+        for (read, expected) in read.positions.iter().flatten().zip(cloud.positions.iter().flatten()) {
+            assert!((read - expected).abs() < 1e-5, "{read}, {expected}");
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The distance between two points on surfaces.
 
 use dpges_core::camera::Camera;
+use dpges_core::scene::length::{four_digits, in_words, parse_metres};
 use egui::{Align2, Color32, FontId, Painter, Pos2, Rect, Stroke};
 use glam::DVec3;
 
@@ -10,6 +11,8 @@ const COLOUR: Color32 = Color32::from_rgb(255, 200, 60);
 pub struct Measuring {
     pub active: bool,
     pub points: Vec<DVec3>,
+    /// The true length of the distance, as it is typed.
+    pub known: String,
 }
 
 impl Measuring {
@@ -29,8 +32,27 @@ impl Measuring {
         }
     }
 
+    /// Metres per world unit by the length that is typed.
+    ///
+    /// # Errors
+    /// A sentence if it is no length, or if there is no distance.
+    pub fn scale(&self) -> Result<f64, String> {
+        match self.distance() {
+            Some(distance) if distance > 0.0 => Ok(parse_metres(&self.known)? / distance),
+            _ => Err("Click two different points first.".to_owned()),
+        }
+    }
+
+    /// The command that stores this scale in `scene`.
+    pub fn command(&self, scene: &str) -> Option<String> {
+        let [from, to] = self.points[..] else { return None };
+        let place = |point: DVec3| point.to_array().map(|x| x.to_string()).join(",");
+        let (from, to, length) = (place(from), place(to), self.known.trim());
+        Some(format!("dpges scale \"{scene}\" --from={from} --to={to} --length \"{length}\""))
+    }
+
     /// Draws points, line and distance over the picture in `rect` that `camera` sees.
-    pub fn paint(&self, painter: &Painter, rect: Rect, camera: &Camera) {
+    pub fn paint(&self, painter: &Painter, rect: Rect, camera: &Camera, metres_per_unit: Option<f64>) {
         let place = |point: &DVec3| {
             let (x, y, _) = camera.project(*point)?;
             Some(at_pixel(rect, camera, x, y))
@@ -43,7 +65,7 @@ impl Measuring {
             painter.line_segment([*from, *to], Stroke::new(3.5, Color32::from_black_alpha(160)));
             painter.line_segment([*from, *to], Stroke::new(2.0, COLOUR));
             let middle = from.lerp(*to, 0.5) + egui::vec2(0.0, -8.0);
-            let text = painter.layout_no_wrap(text_of(distance), FontId::proportional(15.0), COLOUR);
+            let text = painter.layout_no_wrap(text_of(distance, metres_per_unit), FontId::proportional(15.0), COLOUR);
             let place = Align2::CENTER_BOTTOM.anchor_size(middle, text.size());
             painter.rect_filled(place.expand(3.0), 3.0, Color32::from_black_alpha(190));
             painter.galley(place.min, text, COLOUR);
@@ -51,9 +73,9 @@ impl Measuring {
     }
 }
 
-pub fn text_of(distance: f64) -> String {
-    let digits = (3.0 - distance.abs().max(1e-12).log10().floor()).clamp(0.0, 9.0) as usize;
-    format!("{distance:.digits$}")
+/// `distance` in metres, or in world units where nobody knows how long one is.
+pub fn text_of(distance: f64, metres_per_unit: Option<f64>) -> String {
+    metres_per_unit.map_or_else(|| format!("{} units", four_digits(distance)), |metres| in_words(metres * distance))
 }
 
 /// Where in `rect` the pixel position (`x`, `y`) of a picture of `camera`'s size is shown.
@@ -90,9 +112,24 @@ mod tests {
     }
 
     #[test]
-    fn distances_have_four_digits() {
-        assert_eq!([0.012345, 1.23456, 123.456, 123456.7].map(text_of), ["0.01235", "1.235", "123.5", "123457"]);
-        assert_eq!(text_of(0.0), "0.000000000");
+    fn a_known_length_gives_the_scale_and_the_command_that_stores_it() {
+        let mut measuring = Measuring { known: "250 cm".to_owned(), ..Measuring::default() };
+        measuring.pick(dvec3(0.5, 0.0, -1.0));
+        assert!(measuring.scale().is_err() && measuring.command("runs/a").is_none());
+        measuring.pick(dvec3(0.5, 3.0, 3.0));
+        assert_eq!(measuring.scale(), Ok(0.5));
+        let command = "dpges scale \"runs/a\" --from=0.5,0,-1 --to=0.5,3,3 --length \"250 cm\"";
+        assert_eq!(measuring.command("runs/a").unwrap(), command);
+        measuring.known = "2.5".to_owned();
+        assert!(measuring.scale().unwrap_err().contains("unit"));
+        measuring.points = vec![DVec3::ONE; 2];
+        assert!(measuring.scale().unwrap_err().contains("different points"));
+    }
+
+    #[test]
+    fn distances_are_in_metres_where_the_scale_is_known() {
+        assert_eq!(text_of(0.012345, None), "0.01235 units");
+        assert_eq!(text_of(5.0, Some(0.25)), "1.250 m");
     }
 
     #[test]

@@ -36,7 +36,8 @@ impl State {
         };
         self.pick(&response, place);
         let painter = ui.painter().with_clip_rect(place);
-        self.measuring.paint(&painter, place, &camera);
+        let metres_per_unit = self.scene.as_ref().and_then(|shown| shown.info.metres_per_unit);
+        self.measuring.paint(&painter, place, &camera, metres_per_unit);
         self.status(ui, rect, &camera);
         if self.measuring.active && response.hovered() {
             ui.set_cursor_icon(egui::CursorIcon::Crosshair);

@@ -7,11 +7,9 @@ use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use dpges_core::scene::atomic::write_atomically;
 use dpges_core::scene::{Quality, SceneData};
-use dpges_train::config::Budget;
-use dpges_train::config::budget::MEGABYTE;
 use dpges_train::dataset::View;
 use dpges_train::eval::compress::report::{Psnr, Report};
-use dpges_train::eval::compress::{Goal, Measure};
+use dpges_train::eval::compress::{Goal, Measure, bytes, decibels};
 use dpges_train::eval::evaluate;
 use dpges_train::run::folder::hold_file;
 
@@ -68,21 +66,6 @@ fn levels() -> impl TypedValueParser<Value = Quality> {
     })
 }
 
-fn bytes(text: &str) -> Result<usize, String> {
-    match text.parse()? {
-        Budget::Megabytes(size) => Ok((size * MEGABYTE).round() as usize),
-        _ => Err("this is no size such as 10MB".to_owned()),
-    }
-}
-
-fn decibels(text: &str) -> Result<f64, String> {
-    if bytes(text).is_ok() {
-        return Err(format!("this is a size, which is a budget: write `--budget {text}`"));
-    }
-    let loss = text.strip_suffix("dB").and_then(|digits| digits.trim().parse::<f64>().ok());
-    loss.filter(|loss| loss.is_finite() && *loss > 0.0).ok_or_else(|| "this is no loss such as 0.1dB".to_owned())
-}
-
 pub fn run(args: &CompressArgs) -> Result<()> {
     let ending = args.out.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     if ["ply", "spz", "glb", "gltf"].contains(&&*ending) {
@@ -94,10 +77,7 @@ pub fn run(args: &CompressArgs) -> Result<()> {
     }
     let _held = (hold_file(&args.out)?, hold_report(args.json.as_deref())?);
     let mut scene = Scene::load(&args.scene)?;
-    if is_same_file(&args.out, &scene.path) {
-        let message = format!("--out is the scene itself, {}: name another file", scene.path.display());
-        return Err(Failure::Usage(message));
-    }
+    refuse_same_file(&args.out, &scene)?;
     match args.measured(&mut scene) {
         Ok((source, split, views)) => {
             let device = args.device.select()?;
@@ -156,26 +136,11 @@ impl CompressArgs {
     }
 }
 
-/// Whether both paths lead to one file that is there.
-fn is_same_file(a: &Path, b: &Path) -> bool {
-    let [a, b] = [a, b].map(|path| path.canonicalize().ok());
-    a.is_some() && a == b
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sizes_are_budgets_and_losses_are_targets() {
-        assert_eq!((bytes("10MB"), bytes("0.25MB")), (Ok(10_000_000), Ok(250_000)));
-        assert_eq!((decibels("0.1dB"), decibels("2 dB")), (Ok(0.1), Ok(2.0)));
-        assert!(decibels("2MB").unwrap_err().contains("write `--budget 2MB`"));
-        for wrong in ["10", "0MB", "infMB", "auto", ""] {
-            assert!(bytes(wrong).unwrap_err().contains("MB"), "{wrong}");
-        }
-        for wrong in ["0.1", "-1dB", "nandB", "dB", ""] {
-            assert!(decibels(wrong).unwrap_err().contains("such as 0.1dB"), "{wrong}");
-        }
+/// Refuses to write over `scene` itself.
+pub fn refuse_same_file(out: &Path, scene: &Scene) -> Result<()> {
+    let [a, b] = [out, &scene.path].map(|path| path.canonicalize().ok());
+    if a.is_none() || a != b {
+        return Ok(());
     }
+    Err(Failure::Usage(format!("--out is the scene itself, {}: name another file", scene.path.display())))
 }

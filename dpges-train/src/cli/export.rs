@@ -103,6 +103,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
         data => data.map_err(Failure::from),
     };
     let coordinates = args.coordinates.of(args.format, &scene.data.info).map_err(Failure::Usage)?;
+    let factor = args.coordinates.factor(args.format, &scene.data.info).map_err(Failure::Usage)?;
     if args.format == ExportFormat::Lod {
         return args.lod(scene.data, data.ok());
     }
@@ -113,8 +114,8 @@ pub fn run(args: &ExportArgs) -> Result<()> {
     };
     watched(device, || {
         print(&table(&match args.format.of_splats() {
-            Some(format) => args.splats(format, coordinates, &scene.data, data, device)?,
-            None => args.mesh(coordinates, &scene.data, data?, device)?,
+            Some(format) => args.splats(format, (coordinates, factor), &scene.data, data, device)?,
+            None => args.mesh((coordinates, factor), &scene.data, data?, device)?,
         }))
     })
 }
@@ -123,7 +124,7 @@ impl ExportArgs {
     fn splats(
         &self,
         format: SplatFormat,
-        coordinates: Coordinates,
+        (coordinates, factor): (Coordinates, f64),
         scene: &SceneData,
         data: Result<(Source, Dataset)>,
         device: DeviceName,
@@ -139,11 +140,12 @@ impl ExportArgs {
             Err(_) => &[],
         };
         let cloud = splats(scene, self.degree.into(), filter, steps, views, &device)?;
-        let bytes = file(&cloud, format, coordinates)?;
+        let count = cloud.len();
+        let bytes = file(cloud, format, (coordinates, factor))?;
         let mut rows = self.write(&bytes)?;
         let counts = format!("{} surfels and {} Gaussians", scene.surfels.len(), scene.gaussians.len());
-        rows.push(("splats", format!("{} of {counts}", cloud.len())));
-        rows.extend(place_rows(&scene.info, coordinates, format == SplatFormat::Ply));
+        rows.push(("splats", format!("{count} of {counts}")));
+        rows.extend(place_rows(&scene.info.scaled(factor), coordinates, format == SplatFormat::Ply));
         rows.push(("filter", filter_text(filter).to_owned()));
         if peeled {
             let text = "approximation: sorted splats cannot express peeled surfels and order-free Gaussians";
@@ -198,14 +200,15 @@ impl ExportArgs {
 
     fn mesh(
         &self,
-        coordinates: Coordinates,
+        (coordinates, factor): (Coordinates, f64),
         scene: &SceneData,
         (_, dataset): (Source, Dataset),
         device: DeviceName,
     ) -> Result<Rows> {
         let (mesh, voxel) = mesh(scene, &dataset.train, self.voxel, &device.open()?)?;
-        let (is_ply, info) = (self.format == ExportFormat::MeshPly, &scene.info);
-        let mut rows = self.write(&if is_ply { mesh.to_ply(info, coordinates) } else { mesh.to_glb(info)? })?;
+        let (is_ply, info) = (self.format == ExportFormat::MeshPly, &scene.info.scaled(factor));
+        let mesh = if is_ply { mesh.scaled(factor) } else { mesh };
+        let mut rows = self.write(&if is_ply { mesh.to_ply(info, coordinates) } else { mesh.to_glb(&scene.info)? })?;
         rows.push(("mesh", format!("{} vertices, {} triangles", mesh.positions.len(), mesh.triangles.len())));
         rows.push(("voxel", format!("{voxel:.4e} world units, {} training views", dataset.train.len())));
         rows.extend(place_rows(info, coordinates, is_ply));

@@ -2,6 +2,7 @@
 
 mod bench;
 mod blocks;
+mod clean;
 mod compress;
 mod config;
 pub mod data;
@@ -18,6 +19,7 @@ pub mod progress;
 #[cfg(test)]
 mod reference;
 pub mod render;
+mod scale;
 mod selftest;
 pub mod sfm;
 mod study;
@@ -39,6 +41,7 @@ use dpges_train::eval::video::VideoError;
 use dpges_train::metrics::lpips::choice::ChoiceError;
 use dpges_train::run::folder::{hold_file, write_json};
 use dpges_train::run::hold::Hold;
+use dpges_train::run::scale::ScaleError;
 use dpges_train::run::scene::SceneError;
 use dpges_train::run::shots::ShotsError;
 use miette::{Diagnostic, MietteHandlerOpts, Report};
@@ -79,6 +82,8 @@ enum Command {
     Bench(bench::BenchArgs),
     Export(export::ExportArgs),
     Compress(compress::CompressArgs),
+    Clean(clean::CleanArgs),
+    Scale(scale::ScaleArgs),
     Info(info::InfoArgs),
     Devices(devices::DevicesArgs),
     Selftest(selftest::SelftestArgs),
@@ -120,6 +125,7 @@ fn is_usage(error: &(dyn std::error::Error + 'static)) -> bool {
     matches!(error.downcast_ref(), Some(SourceError::OneScale | SourceError::Change(_)))
         || matches!(error.downcast_ref(), Some(ChoiceError::NoneAndOthers | ChoiceError::Twice { .. }))
         || error.downcast_ref().is_some_and(BlocksError::is_usage)
+        || error.downcast_ref().is_some_and(|error| !matches!(error, ScaleError::Core(_)))
         || matches!(error.downcast_ref(), Some(VideoError::Sizes { .. } | VideoError::NoFormat { .. }))
         || error.downcast_ref::<ConfigError>().is_some_and(|error| !matches!(error, ConfigError::Io { .. }))
 }
@@ -178,6 +184,8 @@ pub fn run() -> ExitCode {
         Command::Bench(args) => bench::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Compress(args) => compress::run(&args),
+        Command::Clean(args) => clean::run(&args),
+        Command::Scale(args) => scale::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Selftest(args) => selftest::run(&args),

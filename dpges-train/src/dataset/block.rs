@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use dpges_core::Error;
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,22 @@ pub struct Bounds {
     pub min: [Option<f32>; 3],
     /// World units, exclusive; `None` where the box has no end.
     pub max: [Option<f32>; 3],
+}
+
+impl FromStr for Bounds {
+    type Err = String;
+
+    /// Six numbers: the least of each axis, then the largest.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parse = |number: &str| number.trim().parse::<f32>().ok().filter(|number| number.is_finite());
+        let numbers: Option<Vec<f32>> = text.split(',').map(parse).collect();
+        match numbers.as_deref() {
+            Some(&[x0, y0, z0, x1, y1, z1]) if x0 < x1 && y0 < y1 && z0 < z1 => {
+                Ok(Self { min: [x0, y0, z0].map(Some), max: [x1, y1, z1].map(Some) })
+            }
+            _ => Err("this is no box: write the least x, y and z, then the largest, as in -1,-1,0,1,1,2".to_owned()),
+        }
+    }
 }
 
 impl Bounds {

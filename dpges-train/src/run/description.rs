@@ -38,6 +38,7 @@ pub fn describe(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("environment", json!(scene.data.environment.as_ref().map(|e| EnvironmentData::degree_of(e.len())))),
         ("extent", json!(info.extent)),
         ("near", json!(info.near)),
+        ("metres_per_unit", json!(info.metres_per_unit)),
         ("offset", json!(info.offset)),
         ("up", json!(Up::of(info).to_string())),
         ("bounding_box_min", json!(bound(f32::min))),

@@ -42,6 +42,7 @@ pub mod jobs;
 mod masked_tests;
 pub mod metrics_log;
 mod observer;
+pub mod own_fit;
 pub mod own_pictures;
 #[cfg(test)]
 mod peak_tests;
@@ -50,6 +51,7 @@ mod ranks_tests;
 pub mod recommendation;
 mod record;
 mod resume;
+pub mod scale;
 pub mod scene;
 mod shards;
 pub mod shell;

@@ -77,8 +77,12 @@ impl Record {
 
     /// Makes the scene in the file `earlier`, with its corrections, the scene of the run.
     pub fn take(&self, earlier: &Path) -> Result<SceneData> {
-        let scene = SceneData::load(earlier)?;
+        let mut scene = SceneData::load(earlier)?;
         let place = self.folder.scene();
+        if let Ok(replaced) = SceneData::load(&place) {
+            // it may have been measured since
+            scene.info.metres_per_unit = replaced.info.metres_per_unit;
+        }
         scene.save(&place)?;
         for (from, to) in self.folder.corrections_of(earlier).iter().zip(self.folder.corrections_of(&place)) {
             if from.is_file() {

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use dpges_core::scene::SceneInfo;
+use dpges_core::scene::{SceneData, SceneInfo};
 
 use super::checkpoint::Checkpoint;
 use super::folder::{Origin, RunFolder, remove, write_json};
@@ -103,7 +103,10 @@ impl Run {
     /// metrics cannot be read.
     pub fn resume(saved: SavedRun, data: impl Into<Arc<Dataset>>, place: impl Into<Place>) -> Result<Self, RunError> {
         let peak = PeakMemory::start();
-        let SavedRun { folder, origin, checkpoint, lengthened, moved } = saved;
+        let SavedRun { folder, origin, mut checkpoint, lengthened, moved } = saved;
+        // `dpges scale` may have measured the scene that is about to be replaced
+        let measured = SceneData::load(&folder.scene()).ok().and_then(|scene| scene.info.metres_per_unit);
+        checkpoint.state.info.metres_per_unit = measured.or(checkpoint.state.info.metres_per_unit);
         let data = with_validation(data.into(), checkpoint.config());
         let place = place.into();
         if moved {

@@ -52,6 +52,7 @@ impl Trainer {
         let surroundings = Surroundings::read(&config, &dataset, &place)?;
         let mut context = Context { surroundings, ..Context::new(config, dataset, place) };
         context.check_plan(&plan)?;
+        context.metres_per_unit = context.given_scale()?;
         context.resize(&plan[0])?;
         context.exposure = context.start_of_exposure()?;
         context.poses = context.start_of_poses();
@@ -91,7 +92,7 @@ impl Trainer {
         let exposure = exposure.map_err(TrainError::resume)?;
         let poses = PoseState::from_rows(&mut attributes, &mut columns, &dataset).map_err(TrainError::resume)?;
         let surroundings = Surroundings::read(&config, &dataset, &place)?;
-        let context = Context::new(config, dataset, place);
+        let context = Context { metres_per_unit: info.metres_per_unit, ..Context::new(config, dataset, place) };
         let mut context = Context { rng, remaining_views, completed_steps, exposure, poses, surroundings, ..context };
         context.resize(&current)?;
         context.depth = context.start_of_depth();

@@ -48,6 +48,8 @@ pub struct Context {
     /// The largest number of surfels and Gaussians together of the current stage: that of the [cameras as they were
     /// recorded](budget), wherever they have moved since.
     pub budget: usize,
+    /// Of scenes that it began with, or was given since.
+    pub metres_per_unit: Option<f64>,
 }
 
 impl Context {
@@ -73,6 +75,7 @@ impl Context {
             photographs,
             surroundings: None,
             budget,
+            metres_per_unit: None,
         }
     }
 
@@ -171,6 +174,7 @@ impl Context {
             .map(|up| up.direction().to_array()),
             extent: dataset.extent,
             near: dataset.near,
+            metres_per_unit: self.metres_per_unit,
         }
     }
 

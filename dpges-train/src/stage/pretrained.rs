@@ -140,6 +140,15 @@ impl Context {
         }))
     }
 
+    /// Metres per world unit, if a scene that the run begins with says so.
+    ///
+    /// # Errors
+    /// As [`pretrained`](Self::pretrained).
+    pub fn given_scale(&self) -> Result<Option<f64>, TrainError> {
+        let of = |key| self.given(key).map(|given| given.and_then(|Opened { scene, .. }| scene.info.metres_per_unit));
+        Ok(of(SURFELS_FROM)?.or(of(GAUSSIANS_FROM)?))
+    }
+
     /// The scene in the file that `key` names, as it is there.
     fn given(&self, key: &'static str) -> Result<Option<Opened>, TrainError> {
         let stages = &self.config.stages;

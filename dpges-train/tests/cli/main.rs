@@ -2,6 +2,7 @@
 
 mod benchmark;
 mod blocks;
+mod clean;
 mod devices;
 #[cfg(unix)]
 mod faults;

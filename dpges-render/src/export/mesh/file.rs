@@ -36,7 +36,7 @@ impl TriangleMesh {
         bytes
     }
 
-    /// A binary glTF file of the mesh of a scene, turned so that y is up. Vertex colours are linear, as glTF wants them, and
+    /// A binary glTF file of the mesh of a scene, turned so that y is up, in metres where `info` says how long a world unit is. Vertex colours are linear, as glTF wants them, and
     /// unlit: photographs have their light in them.
     ///
     /// # Errors
@@ -48,8 +48,9 @@ impl TriangleMesh {
             return Err(ExportError::TooMany { count: self.positions.len(), limit });
         }
         let rotation = Up::of(info).to_gltf().as_mat3();
-        let turn = |rows: &[[f32; 3]]| -> Vec<[f32; 3]> {
-            rows.iter().map(|&row| (rotation * glam::Vec3::from(row)).to_array()).collect()
+        let metres = info.metres_per_unit.unwrap_or(1.0) as f32;
+        let turn = |rows: &[[f32; 3]], factor: f32| -> Vec<[f32; 3]> {
+            rows.iter().map(|&row| (factor * (rotation * glam::Vec3::from(row))).to_array()).collect()
         };
         let linear: Vec<u8> = (0..=255u8).map(to_linear).collect();
         let colours = self.colours.iter().map(|rgb| {
@@ -58,8 +59,8 @@ impl TriangleMesh {
         });
         let mut glb = GlbBuilder::default();
         let attributes = json!({
-            "POSITION": glb.positions(&turn(&self.positions)),
-            "NORMAL": glb.floats(turn(&self.normals).into_iter()),
+            "POSITION": glb.positions(&turn(&self.positions, metres)),
+            "NORMAL": glb.floats(turn(&self.normals, 1.0).into_iter()),
             "COLOR_0": glb.colours(colours),
         });
         let indices = glb.indices(self.triangles.as_flattened());

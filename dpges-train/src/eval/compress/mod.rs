@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use dpges_core::scene::{Quality, SceneData};
 
+use crate::config::Budget;
 use crate::config::budget::MEGABYTE;
 
 /// Why there is no compressed scene, and what to do.
@@ -62,6 +63,29 @@ pub enum Goal {
     Bytes(usize),
     /// The smallest file that loses at most so many dB.
     Loss(f64),
+}
+
+/// The bytes of a size such as `10MB`.
+///
+/// # Errors
+/// A sentence.
+pub fn bytes(text: &str) -> Result<usize, String> {
+    match text.parse()? {
+        Budget::Megabytes(size) => Ok((size * MEGABYTE).round() as usize),
+        _ => Err("this is no size such as 10MB".to_owned()),
+    }
+}
+
+/// A loss such as `0.1dB`.
+///
+/// # Errors
+/// A sentence.
+pub fn decibels(text: &str) -> Result<f64, String> {
+    if bytes(text).is_ok() {
+        return Err(format!("this is a size, which is a budget: write `--budget {text}`"));
+    }
+    let loss = text.strip_suffix("dB").and_then(|digits| digits.trim().parse::<f64>().ok());
+    loss.filter(|loss| loss.is_finite() && *loss > 0.0).ok_or_else(|| "this is no loss such as 0.1dB".to_owned())
 }
 
 /// The PSNR of a scene, mean over some views, dB.
@@ -157,6 +181,19 @@ mod tests {
 
     fn fitting(largest: usize) -> Result<Compressed, CompressError> {
         within_size(&scene(), largest, Path::new("out"))
+    }
+
+    #[test]
+    fn sizes_are_budgets_and_losses_are_targets() {
+        assert_eq!((bytes("10MB"), bytes("0.25MB")), (Ok(10_000_000), Ok(250_000)));
+        assert_eq!((decibels("0.1dB"), decibels("2 dB")), (Ok(0.1), Ok(2.0)));
+        assert!(decibels("2MB").unwrap_err().contains("write `--budget 2MB`"));
+        for wrong in ["10", "0MB", "infMB", "auto", ""] {
+            assert!(bytes(wrong).unwrap_err().contains("MB"), "{wrong}");
+        }
+        for wrong in ["0.1", "-1dB", "nandB", "dB", ""] {
+            assert!(decibels(wrong).unwrap_err().contains("such as 0.1dB"), "{wrong}");
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The result of compression, in numbers and in words.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use dpges_core::Error;
 use dpges_core::scene::{Quality, SceneData};
@@ -41,6 +42,14 @@ pub struct Psnr {
     pub views: usize,
     pub psnr_before: f64,
     pub psnr_after: f64,
+}
+
+impl fmt::Display for Psnr {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { split, views, psnr_before, psnr_after, .. } = self;
+        let change = psnr_after - psnr_before;
+        write!(f, "{psnr_before:.2} dB → {psnr_after:.2} dB ({change:+.3} dB, mean of {views} views, split `{split}`)")
+    }
 }
 
 impl Report {
@@ -92,12 +101,7 @@ impl Report {
             (name, format!("{bits_before:.1} → {bits_after:.1} bits per primitive"))
         }));
         let psnr = match &self.psnr {
-            Some(Psnr { split, views, psnr_before, psnr_after, .. }) => {
-                let change = psnr_after - psnr_before;
-                format!(
-                    "{psnr_before:.2} dB → {psnr_after:.2} dB ({change:+.3} dB, mean of {views} views, split `{split}`)"
-                )
-            }
+            Some(psnr) => psnr.to_string(),
             None => format!("not measured: {not_measured}"),
         };
         rows.push(("PSNR", psnr));

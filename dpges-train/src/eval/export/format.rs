@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use clap::ValueEnum;
+use dpges_core::scene::length::four_digits;
 use dpges_core::scene::{SceneInfo, ScreenFilter};
 use dpges_render::Up;
 use dpges_render::export::Coordinates;
@@ -38,6 +39,8 @@ pub enum Origin {
     Scene,
     /// Those of the dataset, in 64 bits where they need them: ply and mesh-ply alone
     Dataset,
+    /// Those of the scene in metres, by the scale that `dpges scale` has stored. Files of glTF always are, if there is one
+    Metres,
 }
 
 /// The low-pass filter of the programs that show splats.
@@ -101,7 +104,7 @@ impl Origin {
         let farthest = info.offset.iter().fold(0.0, |far: f64, x| far.max(x.abs())) as f32;
         let wide = matches!(format, ExportFormat::Ply | ExportFormat::MeshPly);
         match self {
-            Self::Scene => Ok(Coordinates::Scene),
+            Self::Scene | Self::Metres => Ok(Coordinates::Scene),
             Self::Dataset if wide && farthest > 0.0 => Ok(Coordinates::Dataset),
             Self::Dataset if farthest == 0.0 => Ok(Coordinates::Scene),
             Self::Dataset => Err(format!(
@@ -109,6 +112,28 @@ impl Origin {
                  write ply or mesh-ply, or the coordinates of the scene, whose offset is in the file",
                 farthest.next_up() - farthest
             )),
+        }
+    }
+}
+
+impl Origin {
+    /// What coordinates of a scene of `info` are multiplied by.
+    ///
+    /// # Errors
+    /// A sentence if metres are asked for, and the scene has no scale or the format no place for it.
+    pub fn factor(self, format: ExportFormat, info: &SceneInfo) -> Result<f64, String> {
+        let is_gltf = matches!(format, ExportFormat::Glb | ExportFormat::MeshGlb);
+        match (self, info.metres_per_unit) {
+            (Self::Metres, _) if matches!(format, ExportFormat::Html | ExportFormat::Lod) => {
+                Err("--coordinates metres: this format holds the scene itself, which says how many metres a unit has"
+                    .to_owned())
+            }
+            (Self::Metres, None) => Err(
+                "--coordinates metres: nobody has said how long a world unit is; `dpges scale` stores it in the scene"
+                    .to_owned(),
+            ),
+            (Self::Metres, Some(metres)) => Ok(metres),
+            (Self::Scene | Self::Dataset, metres) => Ok(metres.filter(|_| is_gltf).unwrap_or(1.0)),
         }
     }
 }
@@ -135,6 +160,8 @@ pub const fn filter_text(filter: ScreenFilter) -> &'static str {
 pub fn place_rows(info: &SceneInfo, coordinates: Coordinates, is_ply: bool) -> Vec<(&'static str, String)> {
     let (up, [x, y, z]) = (Up::of(info), info.offset);
     let mut rows = vec![("up", format!("{up}, {}", if is_ply { "as in the scene" } else { "turned to y" }))];
+    let metres = |metres| if metres == 1.0 { "metres".to_owned() } else { format!("{} metres", four_digits(metres)) };
+    rows.push(("unit", info.metres_per_unit.map_or_else(|| "unknown: `dpges scale` sets it".to_owned(), metres)));
     if coordinates == Coordinates::Scene && info.offset != [0.0; 3] {
         let turned = if is_ply { "" } else { ", before they were turned" };
         rows.push(("offset", format!("{x} {y} {z}: add it to positions to get those of the dataset{turned}")));
@@ -157,6 +184,23 @@ mod tests {
         assert_eq!(Origin::Dataset.of(ExportFormat::Ply, &far), Ok(Coordinates::Dataset));
         assert!(Origin::Dataset.of(ExportFormat::Spz, &far).unwrap_err().contains("steps of 0.5"));
         assert_eq!(Origin::Dataset.of(ExportFormat::Glb, &SceneInfo::default()), Ok(Coordinates::Scene));
-        assert!(place_rows(&far, Coordinates::Scene, true)[1].1.contains("448251 5411933 213: add it"));
+        assert!(place_rows(&far, Coordinates::Scene, true)[2].1.contains("448251 5411933 213: add it"));
+    }
+
+    #[test]
+    fn gltf_is_in_metres_where_the_scale_is_known_and_others_if_asked_to() {
+        let unknown = SceneInfo::default();
+        let known = SceneInfo { metres_per_unit: Some(0.25), ..unknown.clone() };
+        let factor = |origin: Origin, format| origin.factor(format, &known);
+        assert_eq!(
+            (factor(Origin::Scene, ExportFormat::Glb), factor(Origin::Scene, ExportFormat::Ply)),
+            (Ok(0.25), Ok(1.0))
+        );
+        assert_eq!(factor(Origin::Metres, ExportFormat::Spz), Ok(0.25));
+        assert!(factor(Origin::Metres, ExportFormat::Lod).unwrap_err().contains("the scene itself"));
+        assert_eq!(Origin::Scene.factor(ExportFormat::MeshGlb, &unknown), Ok(1.0));
+        assert!(Origin::Metres.factor(ExportFormat::Ply, &unknown).unwrap_err().contains("dpges scale"));
+        let unit = |info: &SceneInfo| place_rows(info, Coordinates::Scene, true)[1].1.clone();
+        assert_eq!([unit(&known), unit(&known.scaled(0.25))], ["0.2500 metres", "metres"]);
     }
 }

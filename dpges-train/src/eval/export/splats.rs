@@ -64,15 +64,20 @@ pub fn splats(
     Ok(flatten(&fitted, degree)?)
 }
 
-/// The bytes of a file of `cloud`. Only PLY has coordinates of the dataset.
+/// The bytes of a file of `cloud`, whose coordinates are multiplied by `factor`: glTF does so by itself. Only PLY has coordinates
+/// of the dataset.
 ///
 /// # Errors
 /// The errors of the format.
-pub fn file(cloud: &SplatCloud, format: SplatFormat, coordinates: Coordinates) -> Result<Vec<u8>, ExportError> {
+pub fn file(
+    cloud: SplatCloud,
+    format: SplatFormat,
+    (coordinates, factor): (Coordinates, f64),
+) -> Result<Vec<u8>, ExportError> {
     match format {
-        SplatFormat::Ply => Ok(to_ply(cloud, coordinates)),
-        SplatFormat::Glb => to_glb(cloud),
-        SplatFormat::Spz(version) => to_spz(cloud, version),
+        SplatFormat::Ply => Ok(to_ply(&cloud.scaled(factor), coordinates)),
+        SplatFormat::Glb => to_glb(&cloud),
+        SplatFormat::Spz(version) => to_spz(&cloud.scaled(factor), version),
     }
 }
 
@@ -83,6 +88,11 @@ pub fn file(cloud: &SplatCloud, format: SplatFormat, coordinates: Coordinates) -
 pub fn loss(scene: &SceneData, bytes: &[u8], views: &[View], device: &Device) -> Result<[f64; 2], ExportFailure> {
     let malformed = |reason| ExportError::Malformed { format: "exported", reason };
     let read = read_splats(bytes, Path::new("")).unwrap_or_else(|| Err("it holds no splats".to_owned()));
-    let held = read.map_err(malformed)?.scene.relocated(scene.info.offset);
-    Ok([evaluate(scene, views, device)?.psnr, evaluate(&held, views, device)?.psnr])
+    let held = read.map_err(malformed)?.scene;
+    let metres = [scene, &held].map(|scene| scene.info.metres_per_unit.unwrap_or(1.0));
+    let factor = metres[0] / metres[1];
+    let held = held.relocated(scene.info.offset.map(|x| factor * x));
+    let closer: Vec<View> =
+        views.iter().map(|view| View { camera: view.camera.scaled(factor), ..view.clone() }).collect();
+    Ok([evaluate(scene, views, device)?.psnr, evaluate(&held, &closer, device)?.psnr])
 }

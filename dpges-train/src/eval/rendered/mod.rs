@@ -260,17 +260,25 @@ impl Renderer {
     /// # Errors
     /// As [`render_on_ranks`].
     pub fn floaters(&self, dataset: &Dataset) -> Result<Option<Floaters>> {
-        let peel = match &self.options {
-            Options::Peeled(options) => options.peel,
-            Options::Blended(_) | Options::Summed(..) => PeelOptions::default(),
-        };
-        let visibility = Visibility::measure(&self.surfels, &self.gaussians, &peel, dataset)?;
+        let visibility = self.visibility(dataset)?;
         let Some(Floaters { surfels, gaussians }) = visibility.map(|visibility| visibility.floaters()) else {
             return Ok(None);
         };
         let mut gaussians = [gaussians as f64];
         self.ranks.add_up(&mut gaussians);
         Ok(Some(Floaters { surfels, gaussians: gaussians[0] as usize }))
+    }
+
+    /// The votes by which primitives on this rank float, under the same conditions.
+    ///
+    /// # Errors
+    /// As [`render_on_ranks`].
+    pub fn visibility(&self, dataset: &Dataset) -> Result<Option<Visibility>> {
+        let peel = match &self.options {
+            Options::Peeled(options) => options.peel,
+            Options::Blended(_) | Options::Summed(..) => PeelOptions::default(),
+        };
+        Visibility::measure(&self.surfels, &self.gaussians, &peel, dataset)
     }
 
     /// How long pictures from `cameras` take.

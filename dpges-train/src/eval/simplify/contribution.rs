@@ -26,6 +26,19 @@ impl Contributions {
     /// # Errors
     /// The errors of [`Renderer::render`].
     pub fn measure(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
+        Self::fold(scene, cameras, device, |sum, weight| *sum += weight)
+    }
+
+    /// Like [`measure`](Self::measure), but the largest of one view in place of the sum over all; of weights that take colour
+    /// away their absolute value.
+    ///
+    /// # Errors
+    /// The errors of [`Renderer::render`].
+    pub fn largest(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
+        Self::fold(scene, cameras, device, |most, weight| *most = weight.abs().max(*most))
+    }
+
+    fn fold(scene: &SceneData, cameras: &[Camera], device: &Device, add: impl Fn(&mut f64, f64)) -> Result<Self> {
         let mut sums = Self { surfels: vec![0.0; scene.surfels.len()], gaussians: vec![0.0; scene.gaussians.len()] };
         let mut scene = SceneData { environment: None, ..scene.clone() };
         scene.surfels.colour = grey(scene.surfels.model(), scene.surfels.len());
@@ -36,14 +49,14 @@ impl Contributions {
         }
         for camera in cameras {
             let gradients = renderer.render(camera)?.image().clone().sum().backward();
-            let add = |sums: &mut [f64], base: &Tensor<2>| {
+            let add_all = |sums: &mut [f64], base: &Tensor<2>| {
                 let Some(gradient) = base.grad(&gradients) else { return };
                 let rows = tensor_to_rows(&gradient);
                 let weight = |row: &[f32; 3]| row.iter().map(|&x| f64::from(x)).sum::<f64>() / (3.0 * SH_C0);
-                sums.iter_mut().zip(rows.as_chunks::<3>().0).for_each(|(sum, row)| *sum += weight(row));
+                sums.iter_mut().zip(rows.as_chunks::<3>().0).for_each(|(sum, row)| add(sum, weight(row)));
             };
-            add(&mut sums.surfels, &renderer.surfels.colour.base);
-            add(&mut sums.gaussians, &renderer.gaussians.colour.base);
+            add_all(&mut sums.surfels, &renderer.surfels.colour.base);
+            add_all(&mut sums.gaussians, &renderer.gaussians.colour.base);
         }
         Ok(sums)
     }
@@ -131,6 +144,18 @@ mod tests {
             }
             assert!(largest > 1.0, "something is seen: {found:?}");
         }
+    }
+
+    #[test]
+    fn the_largest_is_that_of_one_view() {
+        let (scene, camera) = scene(Rendering::Peeled);
+        let aside = Camera { cx: camera.cx + 0.75 * camera.width as f64, ..camera };
+        let [one, other] = [camera, aside].map(|camera| Contributions::measure(&scene, &[camera], &device()).unwrap());
+        let both = Contributions::largest(&scene, &[camera, aside], &device()).unwrap();
+        let largest = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a.abs().max(b.abs())).collect::<Vec<_>>();
+        assert_eq!(both.surfels, largest(&one.surfels, &other.surfels));
+        assert_eq!(both.gaussians, largest(&one.gaussians, &other.gaussians));
+        assert!(both.surfels != one.surfels || both.gaussians != one.gaussians, "something is seen aside: {both:?}");
     }
 
     #[test]

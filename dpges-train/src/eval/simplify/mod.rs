@@ -1,5 +1,8 @@
-//! Scenes made smaller without training: what a primitive contributes to pictures, and what of its colour can go.
+//! Scenes made smaller without training: what a primitive contributes to pictures, what of its colour can go, and which
+//! primitives are waste.
 
+pub mod clean;
+pub mod consolidate;
 mod contribution;
 mod detail;
 
