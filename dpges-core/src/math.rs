@@ -3,6 +3,10 @@
 
 use std::ops::{Add, Mul, Neg, Sub};
 
+use pulp::Simd;
+
+use crate::backend::lanes::Lanes;
+use crate::backend::number::Number;
 use crate::backend::real::Real;
 use crate::camera::{Camera, Lens};
 
@@ -42,24 +46,24 @@ pub fn scale<N: Arithmetic>(a: V3<N>, s: N) -> V3<N> {
 
 /// Element by element.
 #[inline(always)]
-pub fn times<T: Real>(a: V3<T>, b: V3<T>) -> V3<T> {
+pub fn times<N: Arithmetic>(a: V3<N>, b: V3<N>) -> V3<N> {
     [a[0] * b[0], a[1] * b[1], a[2] * b[2]]
 }
 
 #[inline(always)]
-pub fn column<T: Real>(m: &M3<T>, j: usize) -> V3<T> {
+pub fn column<N: Arithmetic>(m: &M3<N>, j: usize) -> V3<N> {
     [m[0][j], m[1][j], m[2][j]]
 }
 
 /// m · v
 #[inline(always)]
-pub fn apply<T: Real>(m: &M3<T>, v: V3<T>) -> V3<T> {
+pub fn apply<N: Arithmetic>(m: &M3<N>, v: V3<N>) -> V3<N> {
     [dot(m[0], v), dot(m[1], v), dot(m[2], v)]
 }
 
 /// mᵀ · v
 #[inline(always)]
-pub fn apply_transposed<T: Real>(m: &M3<T>, v: V3<T>) -> V3<T> {
+pub fn apply_transposed<N: Arithmetic>(m: &M3<N>, v: V3<N>) -> V3<N> {
     [dot(column(m, 0), v), dot(column(m, 1), v), dot(column(m, 2), v)]
 }
 
@@ -68,14 +72,14 @@ pub fn row<T: Real, const W: usize>(values: &[T], index: usize) -> [T; W] {
     values[index * W..(index + 1) * W].try_into().expect("a row has W values")
 }
 
-/// Below this squared length a quaternion counts as zero and means the identity.
-const ZERO_QUATERNION_SQUARED: f64 = 1e-24;
+/// Up to this length a quaternion counts as zero and means the identity.
+const ZERO_QUATERNION: f64 = 1e-12;
 
 /// Rotation of an unnormalised quaternion (w, x, y, z); the identity for a zero quaternion.
 #[inline(always)]
-pub fn rotation<T: Real>(q: [T; 4]) -> M3<T> {
+pub fn rotation<N: Number>(q: [N; 4]) -> M3<N> {
     let [w, x, y, z] = unit(q).0;
-    let (one, two) = (T::one(), T::of(2.0));
+    let (one, two) = (w.constant(1.0), w.constant(2.0));
     [
         [one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y)],
         [two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x)],
@@ -85,16 +89,20 @@ pub fn rotation<T: Real>(q: [T; 4]) -> M3<T> {
 
 /// Unit quaternion and reciprocal length (0 for a zero quaternion).
 #[inline(always)]
-fn unit<T: Real>(q: [T; 4]) -> ([T; 4], T) {
-    // scaled first: squares of components near the ends of the range of T would over- or underflow
-    let largest = q.iter().fold(T::zero(), |m, v| m.max(v.abs()));
-    let squared_f64 = q.iter().map(|v| v.as_f64() * v.as_f64()).sum::<f64>();
-    if squared_f64 <= ZERO_QUATERNION_SQUARED {
-        return ([T::one(), T::zero(), T::zero(), T::zero()], T::zero());
-    }
-    let scaled = q.map(|v| v / largest);
-    let inverse = T::one() / scaled.iter().map(|&v| v * v).sum::<T>().sqrt();
-    (scaled.map(|v| v * inverse), inverse / largest)
+fn unit<N: Number>([w, x, y, z]: [N; 4]) -> ([N; 4], N) {
+    let (zero, one) = (w.constant(0.0), w.constant(1.0));
+    // scaled first: squares of components near the ends of the range of N would over- or underflow
+    let largest = w.abs().max(x.abs()).max(y.abs()).max(z.abs()).max(w.constant(1e-37));
+    let (w, x, y, z) = (w / largest, x / largest, y / largest, z / largest);
+    let length = (w * w + x * x + y * y + z * z).sqrt();
+    let inverse = one / length;
+    let none = w.constant(ZERO_QUATERNION).at_least(largest * length);
+    let or = {
+        #[inline(always)]
+        |value: N, default: N| N::select(none, default, value)
+    };
+    let unit = [or(w * inverse, one), or(x * inverse, zero), or(y * inverse, zero), or(z * inverse, zero)];
+    (unit, or(inverse / largest, zero))
 }
 
 /// Gradient with respect to the raw quaternion from the gradient with respect to its rotation.
@@ -121,11 +129,16 @@ pub fn rotation_backward<T: Real>(q: [T; 4], grad: &M3<T>) -> [T; 4] {
 /// Gradient with respect to the raw quaternion from the gradient with respect to a turn about each axis of the frame that
 /// the quaternion rotates, in radians.
 #[inline(always)]
-pub fn turn_backward<T: Real>(q: [T; 4], [a, b, c]: V3<T>) -> [T; 4] {
+pub fn turn_backward<N: Number>(q: [N; 4], [a, b, c]: V3<N>) -> [N; 4] {
     let ([w, x, y, z], inverse_length) = unit(q);
     // a turn by ω moves the unit quaternion by ½ q ω, in three directions at right angles to it and to each other
-    let along = [-x * a - y * b - z * c, w * a + y * c - z * b, w * b + z * a - x * c, w * c + x * b - y * a];
-    along.map(|part| T::of(2.0) * part * inverse_length)
+    let twice = inverse_length.constant(2.0) * inverse_length;
+    [
+        (-x * a - y * b - z * c) * twice,
+        (w * a + y * c - z * b) * twice,
+        (w * b + z * a - x * c) * twice,
+        (w * c + x * b - y * a) * twice,
+    ]
 }
 
 /// A camera's numbers in the element type of a kernel.
@@ -168,12 +181,25 @@ impl<T: Real> CameraOf<T> {
         }
     }
 
-    /// Depth of a point in camera axes.
+    /// The same in every lane.
     #[inline(always)]
-    pub fn depth(&self, point: V3<T>) -> T {
-        match &self.lens {
-            None => point[2],
-            Some(lens) => T::of(lens.depth(point.map(T::as_f64))),
+    pub fn in_lanes<S: Simd>(&self, simd: S) -> CameraOf<Lanes<T, S>> {
+        let all = |value: T| Lanes::splat(simd, value);
+        let three = |values: V3<T>| Lanes::splat_three(simd, values);
+        let rows = |rows: &M3<T>| [three(rows[0]), three(rows[1]), three(rows[2])];
+        CameraOf {
+            rotation: rows(&self.rotation),
+            cofactors: rows(&self.cofactors),
+            translation: three(self.translation),
+            fx: all(self.fx),
+            fy: all(self.fy),
+            cx: all(self.cx),
+            cy: all(self.cy),
+            near: all(self.near),
+            width: self.width,
+            height: self.height,
+            lens: self.lens,
+            coverage: self.coverage,
         }
     }
 
@@ -193,10 +219,21 @@ impl<T: Real> CameraOf<T> {
     pub fn axes(&self, world: &M3<T>) -> M3<T> {
         self.rotation.map(|row| std::array::from_fn(|j| dot(row, column(world, j))))
     }
+}
+
+impl<N: Number> CameraOf<N> {
+    /// Depth of a point in camera axes.
+    #[inline(always)]
+    pub fn depth(&self, point: V3<N>) -> N {
+        match &self.lens {
+            None => point[2],
+            Some(lens) => N::each(point, |point| [lens.depth(point)])[0],
+        }
+    }
 
     /// World point in camera axes.
     #[inline(always)]
-    pub fn transform(&self, world: V3<T>) -> V3<T> {
+    pub fn transform(&self, world: V3<N>) -> V3<N> {
         add(apply(&self.rotation, world), self.translation)
     }
 }

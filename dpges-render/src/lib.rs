@@ -57,6 +57,7 @@ pub mod guide {}
 #[cfg(not(target_arch = "wasm32"))]
 mod headless;
 mod image;
+pub mod navigation;
 mod options;
 mod order;
 mod passes;

@@ -8,8 +8,9 @@ use std::path::Path;
 use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::scene::lod::{Cell, INDEX, Index, Part};
 use dpges_core::scene::{EnvironmentData, GaussianData, Peeling, Quality, Rendering, SceneData, SceneInfo, SurfelData};
-use dpges_render::export::html::{Page, find_page, write_html};
-use dpges_render::{Display, Headless, RenderOptions, Rgb8Image};
+use dpges_render::export::html::{Page, find_page, single_file, write_html};
+use dpges_render::{CameraPath, Display, Headless, RenderOptions, Rgb8Image};
+use glam::{DQuat, DVec3};
 use image::ExtendedColorType::Rgb8;
 use image::ImageEncoder;
 use image::codecs::jpeg::JpegEncoder;
@@ -84,7 +85,7 @@ fn camera(scene: &SceneData, width: usize, height: usize) -> Camera {
 /// As the page takes it.
 fn page_camera(camera: &Camera) -> Value {
     json!({
-        "position": camera.centre().to_array(),
+        "id": 0, "position": camera.centre().to_array(),
         "rotation": camera.camera_from_world.rotation.to_cols_array_2d(),
         "fx": camera.fx, "fy": camera.fy, "width": camera.width, "height": camera.height,
     })
@@ -153,8 +154,17 @@ fn export_a_page_and_pictures_of_its_scene() {
     let first = camera(&scene, 640, 360);
     let trained = RenderOptions::from(&scene.info);
     let poster = jpeg(&picture(&scene, &first, &trained));
-    let page = Page { title: "Test scene", poster_jpeg: Some(&poster), cameras: &[first] };
-    write_html(folder, &find_page(None).unwrap(), Some(&scene), &page).unwrap();
+    let turned = |turn: f64| {
+        let eye = DQuat::from_axis_angle(DVec3::Z, turn) * first.centre();
+        Camera { camera_from_world: CameraFromWorld::look_at(eye, DVec3::ZERO, DVec3::Z), ..first }
+    };
+    let views = [("front".to_owned(), first), ("from the left".to_owned(), turned(-1.2))];
+    let path = CameraPath::new([0.0, 1.0, 2.0].map(turned).to_vec(), false).unwrap();
+    let page = Page { title: "Test scene", poster_jpeg: Some(&poster), views: &views, path: Some(&path) };
+    let built = find_page(None).unwrap();
+    write_html(folder, &built, Some(&scene), &page).unwrap();
+    let bytes = scene.to_bytes("scene".as_ref()).unwrap();
+    std::fs::write(folder.join("single.html"), single_file(&built, &bytes, &page).unwrap()).unwrap();
 
     let mut references = Vec::new();
     let mut refer = |name: &str, file: &str, scene: &SceneData, camera: &Camera, options: RenderOptions| {

@@ -6,6 +6,7 @@ use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 use pulp::Simd;
 
 use super::real::Real;
+use super::vectors::MOST;
 
 /// As many numbers as a vector instruction of `S` processes.
 #[derive(Clone, Copy)]
@@ -48,6 +49,28 @@ impl<T: Real, S: Simd> Lanes<T, S> {
         Self { simd, of: T::load_lanes(simd, &values[..T::lane_count::<S>()]) }
     }
 
+    /// `values` as far as they go, then 0.
+    #[inline(always)]
+    pub fn load_some(simd: S, values: &[T]) -> Self {
+        if values.len() >= T::lane_count::<S>() {
+            return Self::load(simd, values);
+        }
+        let mut padded = [T::zero(); MOST];
+        padded[..values.len()].copy_from_slice(values);
+        Self::load(simd, &padded)
+    }
+
+    /// Into `values` as far as they go.
+    #[inline(always)]
+    pub fn store_some(self, values: &mut [T]) {
+        if values.len() >= T::lane_count::<S>() {
+            return self.store(values);
+        }
+        let mut padded = [T::zero(); MOST];
+        self.store(&mut padded);
+        values.copy_from_slice(&padded[..values.len()]);
+    }
+
     /// Into the first of `values`.
     ///
     /// # Panics
@@ -55,6 +78,36 @@ impl<T: Real, S: Simd> Lanes<T, S> {
     #[inline(always)]
     pub fn store(self, values: &mut [T]) {
         T::store_lanes(self.simd, &mut values[..T::lane_count::<S>()], self.of);
+    }
+
+    /// The columns of `row(lane)` of every lane.
+    #[inline(always)]
+    pub fn from_rows<const W: usize>(simd: S, row: impl Fn(usize) -> [T; W]) -> [Self; W] {
+        let mut columns = [[T::zero(); MOST]; W];
+        for lane in 0..T::lane_count::<S>() {
+            for (column, value) in columns.iter_mut().zip(row(lane)) {
+                column[lane] = value;
+            }
+        }
+        let mut out = [Self::zero(simd); W];
+        for (out, column) in out.iter_mut().zip(&columns) {
+            *out = Self::load(simd, column);
+        }
+        out
+    }
+
+    /// The numbers of `columns`, a row for each lane; those of lanes that `S` lacks are 0.
+    #[inline(always)]
+    pub fn to_rows<const W: usize>(columns: [Self; W]) -> [[T; W]; MOST] {
+        let mut rows = [[T::zero(); W]; MOST];
+        for (d, of) in columns.into_iter().enumerate() {
+            let mut column = [T::zero(); MOST];
+            of.store(&mut column);
+            for (row, value) in rows[..T::lane_count::<S>()].iter_mut().zip(column) {
+                row[d] = value;
+            }
+        }
+        rows
     }
 
     #[inline(always)]
@@ -66,6 +119,11 @@ impl<T: Real, S: Simd> Lanes<T, S> {
     #[inline(always)]
     pub fn mul_add(self, factor: Self, summand: Self) -> Self {
         Self { of: T::mul_add_lanes(self.simd, self.of, factor.of, summand.of), ..self }
+    }
+
+    #[inline(always)]
+    pub fn sqrt(self) -> Self {
+        Self { of: T::sqrt_lanes(self.simd, self.of), ..self }
     }
 
     #[inline(always)]
@@ -117,6 +175,25 @@ impl<T: Real, S: Simd> Lanes<T, S> {
     #[inline(always)]
     pub fn ln_1p_share(self) -> Self {
         Self { of: T::ln_1p_share_lanes(self.simd, self.of), ..self }
+    }
+
+    /// e^x within 2 units in the last place, also where it is subnormal or infinite.
+    #[inline(always)]
+    pub fn exp(self) -> Self {
+        Self { of: T::exp_lanes(self.simd, self.of), ..self }
+    }
+
+    /// ln x within 3 units in the last place; −∞ of 0, not a number below.
+    #[inline(always)]
+    pub fn ln(self) -> Self {
+        Self { of: T::ln_lanes(self.simd, self.of), ..self }
+    }
+
+    /// sin x and cos x within 1e-7.
+    #[inline(always)]
+    pub fn sin_cos(self) -> (Self, Self) {
+        let (sine, cosine) = T::sin_cos_lanes(self.simd, self.of);
+        (Self { of: sine, ..self }, Self { of: cosine, ..self })
     }
 
     #[inline(always)]

@@ -2,9 +2,11 @@
 //! entries on the tape, reads from a device.
 
 pub mod device;
+mod functions;
 pub(crate) mod host;
 pub mod kept;
 pub(crate) mod lanes;
+pub(crate) mod number;
 pub mod readback;
 pub(crate) mod real;
 pub(crate) mod simd;

@@ -2,6 +2,8 @@
 
 use pulp::Simd;
 
+use super::functions;
+
 /// Most numbers in a vector: of 512 bits, in f32.
 pub const MOST: usize = 16;
 
@@ -21,6 +23,7 @@ pub trait Vectors: Copy {
     /// a b + c, rounded once where the machine can.
     fn mul_add_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>, c: Self::Vector<S>) -> Self::Vector<S>;
     fn div_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
+    fn sqrt_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self::Vector<S>;
     fn min_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn max_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     fn at_least_lanes<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Mask<S>;
@@ -35,12 +38,18 @@ pub trait Vectors: Copy {
     fn exp_nonpositive_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self::Vector<S>;
     /// ln(1 + x) for x from 0 to 1, within 3 units in the last place.
     fn ln_1p_share_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self::Vector<S>;
+    /// e^x within 2 units in the last place, also where it is subnormal or infinite.
+    fn exp_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self::Vector<S>;
+    /// ln x within 3 units in the last place; −∞ of 0, not a number below.
+    fn ln_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> Self::Vector<S>;
+    /// sin x and cos x within 1e-7.
+    fn sin_cos_lanes<S: Simd>(simd: S, vector: Self::Vector<S>) -> (Self::Vector<S>, Self::Vector<S>);
 }
 
 macro_rules! implement {
     (
         $number:ty, $vector:ident, $mask:ident, $count:ident, $slice:ident, $slice_mut:ident, $first_true:ident,
-        $exp:ident, $ln_1p:ident,
+        $exp_nonpositive:path, $ln_1p_share:path, $exp:path, $ln:path, $sin_cos:path,
         $($function:ident($($argument:ident: $kind:ty),+) -> $result:ty = $instruction:ident;)+
     ) => {
         impl Vectors for $number {
@@ -77,12 +86,27 @@ macro_rules! implement {
 
             #[inline(always)]
             fn exp_nonpositive_lanes<S: Simd>(simd: S, vector: S::$vector) -> S::$vector {
-                $exp(simd, vector)
+                $exp_nonpositive(simd, vector)
             }
 
             #[inline(always)]
             fn ln_1p_share_lanes<S: Simd>(simd: S, vector: S::$vector) -> S::$vector {
-                $ln_1p(simd, vector)
+                $ln_1p_share(simd, vector)
+            }
+
+            #[inline(always)]
+            fn exp_lanes<S: Simd>(simd: S, vector: S::$vector) -> S::$vector {
+                $exp(simd, vector)
+            }
+
+            #[inline(always)]
+            fn ln_lanes<S: Simd>(simd: S, vector: S::$vector) -> S::$vector {
+                $ln(simd, vector)
+            }
+
+            #[inline(always)]
+            fn sin_cos_lanes<S: Simd>(simd: S, vector: S::$vector) -> (S::$vector, S::$vector) {
+                $sin_cos(simd, vector)
             }
         }
     };
@@ -90,13 +114,14 @@ macro_rules! implement {
 
 implement! {
     f32, f32s, m32s, F32_LANES, as_simd_f32s, as_mut_simd_f32s, first_true_m32s,
-    exp_nonpositive_f32, ln_1p_share_f32,
+    functions::exp_nonpositive_f32, functions::ln_1p_share_f32, functions::exp_f32, functions::ln_f32, functions::sin_cos_f32,
     splat_lanes(value: f32) -> S::f32s = splat_f32s;
     add_lanes(a: S::f32s, b: S::f32s) -> S::f32s = add_f32s;
     sub_lanes(a: S::f32s, b: S::f32s) -> S::f32s = sub_f32s;
     mul_lanes(a: S::f32s, b: S::f32s) -> S::f32s = mul_f32s;
     mul_add_lanes(a: S::f32s, b: S::f32s, c: S::f32s) -> S::f32s = mul_add_e_f32s;
     div_lanes(a: S::f32s, b: S::f32s) -> S::f32s = div_f32s;
+    sqrt_lanes(vector: S::f32s) -> S::f32s = sqrt_f32s;
     min_lanes(a: S::f32s, b: S::f32s) -> S::f32s = min_f32s;
     max_lanes(a: S::f32s, b: S::f32s) -> S::f32s = max_f32s;
     at_least_lanes(a: S::f32s, b: S::f32s) -> S::m32s = greater_than_or_equal_f32s;
@@ -110,13 +135,14 @@ implement! {
 
 implement! {
     f64, f64s, m64s, F64_LANES, as_simd_f64s, as_mut_simd_f64s, first_true_m64s,
-    exp_nonpositive_f64, ln_1p_share_f64,
+    functions::exp_nonpositive_f64, functions::ln_1p_share_f64, functions::exp_f64, functions::ln_f64, functions::sin_cos_f64,
     splat_lanes(value: f64) -> S::f64s = splat_f64s;
     add_lanes(a: S::f64s, b: S::f64s) -> S::f64s = add_f64s;
     sub_lanes(a: S::f64s, b: S::f64s) -> S::f64s = sub_f64s;
     mul_lanes(a: S::f64s, b: S::f64s) -> S::f64s = mul_f64s;
     mul_add_lanes(a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s = mul_add_e_f64s;
     div_lanes(a: S::f64s, b: S::f64s) -> S::f64s = div_f64s;
+    sqrt_lanes(vector: S::f64s) -> S::f64s = sqrt_f64s;
     min_lanes(a: S::f64s, b: S::f64s) -> S::f64s = min_f64s;
     max_lanes(a: S::f64s, b: S::f64s) -> S::f64s = max_f64s;
     at_least_lanes(a: S::f64s, b: S::f64s) -> S::m64s = greater_than_or_equal_f64s;
@@ -126,55 +152,4 @@ implement! {
     select_lanes(mask: S::m64s, a: S::f64s, b: S::f64s) -> S::f64s = select_f64s;
     sum_lanes(vector: S::f64s) -> f64 = reduce_sum_f64s;
     largest_lanes(vector: S::f64s) -> f64 = reduce_max_f64s;
-}
-
-#[inline(always)]
-fn exp_nonpositive_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
-    // x = n ln 2 + r, |r| ≤ ln 2 / 2. Adding 1.5 · 2²³ rounds to an integer and leaves it in the low bits.
-    const ROUND: f32 = 12_582_912.0;
-    let all = |value: f32| simd.splat_f32s(value);
-    // not a number becomes the smallest
-    let x = simd.select_f32s(simd.greater_than_or_equal_f32s(vector, all(-87.0)), vector, all(-87.0));
-    let shifted = simd.mul_add_e_f32s(x, all(std::f32::consts::LOG2_E), all(ROUND));
-    let n = simd.sub_f32s(shifted, all(ROUND));
-    let r = simd.mul_add_e_f32s(n, all(-0.693_359_4), x);
-    let r = simd.mul_add_e_f32s(n, all(2.121_944_4e-4), r);
-    // Taylor coefficients, the last two adjusted for the interval
-    let mut p = simd.mul_add_e_f32s(r, all(1.984_127e-4), all(1.388_888_9e-3));
-    for coefficient in [8.333_334e-3, 4.166_666_8e-2, 1.666_666_7e-1, 0.5, 1.0, 1.0] {
-        p = simd.mul_add_e_f32s(p, r, all(coefficient));
-    }
-    let exponent = simd.sub_u32s(simd.transmute_u32s_f32s(shifted), simd.splat_u32s(ROUND.to_bits() - 127));
-    let power = simd.wrapping_dyn_shl_u32s(exponent, simd.splat_u32s(23));
-    simd.mul_f32s(p, simd.transmute_f32s_u32s(power))
-}
-
-#[inline(always)]
-fn exp_nonpositive_f64<S: Simd>(simd: S, vector: S::f64s) -> S::f64s {
-    one_by_one(simd, vector, f64::exp)
-}
-
-#[inline(always)]
-fn ln_1p_share_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
-    // ln(1 + x) = 2 artanh(x / (2 + x)), whose argument is at most 1/3
-    let all = |value: f32| simd.splat_f32s(value);
-    let z = simd.div_f32s(vector, simd.add_f32s(all(2.0), vector));
-    let squared = simd.mul_f32s(z, z);
-    let mut p = simd.mul_add_e_f32s(squared, all(2.0 / 15.0), all(2.0 / 13.0));
-    for coefficient in [2.0 / 11.0, 2.0 / 9.0, 2.0 / 7.0, 2.0 / 5.0, 2.0 / 3.0, 2.0] {
-        p = simd.mul_add_e_f32s(p, squared, all(coefficient));
-    }
-    simd.mul_f32s(p, z)
-}
-
-#[inline(always)]
-fn ln_1p_share_f64<S: Simd>(simd: S, vector: S::f64s) -> S::f64s {
-    one_by_one(simd, vector, f64::ln_1p)
-}
-
-#[inline(always)]
-fn one_by_one<S: Simd>(simd: S, vector: S::f64s, function: impl Fn(f64) -> f64) -> S::f64s {
-    let mut values = [0.0; MOST];
-    f64::store_lanes(simd, &mut values, vector);
-    f64::load_lanes(simd, &values.map(function))
 }

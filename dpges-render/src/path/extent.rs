@@ -10,6 +10,10 @@ use crate::up::Up;
 const SAMPLE: usize = 8192;
 /// Share of the positions that are nearer to the centre than the radius.
 const INSIDE: f64 = 0.8;
+/// Distance from a pixel within which primitives say how far it is, as a share of the picture's height.
+const AROUND: f64 = 0.04;
+/// Share of the primitives around a pixel that are nearer than what is seen there: the others lie behind it.
+const IN_FRONT: f64 = 0.2;
 /// Height of the first view above the horizon, as a share of its distance.
 const ELEVATION: f64 = 0.35;
 /// Cameras of a ring around a scene, and the size of their pictures, px.
@@ -71,6 +75,17 @@ impl Extent {
         let seen = self.sample.iter().filter_map(|&point| camera.pixel(point));
         percentiles(seen.map(|(_, depth)| depth).collect(), [0.5]).map_or(self.radius, |[depth]| depth)
     }
+
+    /// What `camera` sees at (`x_px`, `y_px`), by the primitives around that pixel; `None` where there are none.
+    pub fn point_at(&self, camera: &Camera, x_px: f64, y_px: f64) -> Option<DVec3> {
+        let reach_px = AROUND * camera.height as f64;
+        let near_pixel = self.sample.iter().filter_map(|&point| {
+            let (x, y, depth) = camera.project(point)?;
+            ((x - x_px).hypot(y - y_px) <= reach_px).then_some(depth)
+        });
+        let [depth] = percentiles(near_pixel.collect(), [IN_FRONT])?;
+        Some(camera.unproject(x_px, y_px, depth))
+    }
 }
 
 #[cfg(test)]
@@ -126,5 +141,11 @@ mod tests {
         let camera = extent.overview(DVec3::Z, 0.01, [300, 200]);
         let distance = (camera.centre() - extent.centre).length();
         assert!((extent.depth_before(&camera) - distance).abs() < 0.2, "{distance}");
+        // the front of the ball, not its back
+        let [before, behind] =
+            [-0.9, 0.9].map(|along| extent.centre + along * camera.camera_from_world.rotation.row(2));
+        let point = extent.point_at(&camera, 150.0, 100.0).unwrap();
+        assert!(point.distance(before) < 0.3 && point.distance(behind) > 1.0, "{point}");
+        assert_eq!(extent.point_at(&camera, 2.0, 2.0), None);
     }
 }

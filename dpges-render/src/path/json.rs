@@ -48,12 +48,12 @@ struct Entry {
 }
 
 impl Entry {
-    fn new(id: usize, camera: &Camera) -> Self {
+    fn new(id: usize, name: &str, camera: &Camera) -> Self {
         // columns of the transpose are rows of the rotation to camera axes
         let rows = camera.camera_from_world.rotation.to_cols_array_2d();
         Self {
             id,
-            img_name: format!("{id:05}"),
+            img_name: name.to_owned(),
             width: camera.width,
             height: camera.height,
             position: camera.centre().to_array(),
@@ -146,8 +146,8 @@ pub fn in_scene(camera: Camera, info: &SceneInfo) -> Camera {
 impl CameraPath {
     /// The key cameras as text of a `cameras.json`, in the coordinates that they have.
     pub fn to_json(&self) -> String {
-        let entries: Vec<Entry> = self.keys().iter().enumerate().map(|(id, camera)| Entry::new(id, camera)).collect();
-        serde_json::to_string_pretty(&entries).expect("numbers and names become JSON")
+        let named = |(id, camera): (usize, &Camera)| (format!("{id:05}"), *camera);
+        to_json(&self.keys().iter().enumerate().map(named).collect::<Vec<_>>())
     }
 
     /// An open path from the text of a file. Cameras without a near plane have `near`.
@@ -185,9 +185,23 @@ impl CameraPath {
 /// [`PathError::Read`], [`PathError::File`].
 pub fn load_cameras(path: &Path, info: &SceneInfo) -> Result<Vec<NamedCamera>, PathError> {
     let text = std::fs::read_to_string(path).map_err(|source| PathError::Read { path: path.to_owned(), source })?;
-    let cameras = named_cameras(text.trim_start_matches('\u{feff}'), info.near);
-    let cameras = cameras.map_err(|reason| PathError::File { path: path.to_owned(), reason })?;
+    cameras_from_json(&text, info).map_err(|reason| PathError::File { path: path.to_owned(), reason })
+}
+
+/// The same from the text of a file.
+///
+/// # Errors
+/// A message that names the problem.
+pub fn cameras_from_json(text: &str, info: &SceneInfo) -> Result<Vec<NamedCamera>, String> {
+    let cameras = named_cameras(text.trim_start_matches('\u{feff}'), info.near)?;
     Ok(cameras.into_iter().map(|(name, camera)| (name, in_scene(camera, info))).collect())
+}
+
+/// `cameras` as text of a `cameras.json`, in the coordinates that they have.
+pub fn to_json(cameras: &[NamedCamera]) -> String {
+    let entries: Vec<Entry> =
+        cameras.iter().enumerate().map(|(id, (name, camera))| Entry::new(id, name, camera)).collect();
+    serde_json::to_string_pretty(&entries).expect("numbers and names become JSON")
 }
 
 /// Names are empty where the file has none.

@@ -9,7 +9,7 @@ use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::{DMat3, DQuat, DVec3};
 
 pub use extent::Extent;
-pub use json::{NamedCamera, PathError, in_scene, load_cameras};
+pub use json::{NamedCamera, PathError, cameras_from_json, in_scene, load_cameras, to_json};
 pub use size::Size;
 
 /// A smooth way through key cameras: Catmull–Rom splines through their centres, the shortest turns between their

@@ -12,7 +12,6 @@ use super::live::LiveScene;
 use super::loading::{Opened, Opener};
 use super::measuring::Measuring;
 use super::messages::Message;
-use super::navigation::Mode;
 use super::panels;
 use super::path_editor::PathEditor;
 use super::pending::Pending;
@@ -22,6 +21,7 @@ use super::start_page::{self, Choice};
 use super::state::{State, waker};
 use super::views::{DatasetViews, Views};
 use crate::RenderError;
+use crate::navigation::Mode;
 
 /// The viewer, for any window of egui.
 pub struct Viewer {

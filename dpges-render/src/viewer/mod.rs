@@ -6,6 +6,7 @@ mod comparison;
 mod dialogs;
 mod error;
 mod frame_times;
+mod gestures;
 #[cfg(test)]
 mod gpu_tests;
 mod keys;
@@ -13,7 +14,6 @@ mod live;
 mod loading;
 mod measuring;
 mod messages;
-mod navigation;
 mod panels;
 mod path_editor;
 mod pending;

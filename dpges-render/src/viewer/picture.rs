@@ -7,10 +7,11 @@ use egui::{Align2, Color32, FontId, Rect, Response, Sense, Ui};
 
 use super::comparison::Comparison;
 use super::frame_times::FrameTime;
+use super::gestures::gestures;
 use super::measuring::pixel_at;
 use super::messages::Message;
-use super::navigation::{Viewpoint, gestures};
 use super::state::State;
+use crate::navigation::Viewpoint;
 use crate::stream::StreamStatus;
 
 impl State {

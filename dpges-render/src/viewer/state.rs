@@ -14,15 +14,14 @@ use super::frame_times::FrameTimes;
 use super::live::LiveScene;
 use super::measuring::Measuring;
 use super::messages::Message;
-use super::navigation::{Navigator, Surroundings, Viewpoint};
 use super::path_editor::PathEditor;
 use super::pending::Pending;
 use super::resolution::ResolutionControl;
 use super::screenshot::{ScreenshotForm, save_png, unused};
 use super::views::DatasetViews;
+use crate::navigation::{Navigator, Surroundings, Viewpoint, first_view, overview};
 use crate::path::Extent;
 use crate::stream::{Levels, StreamStatus};
-use crate::up::Up;
 use crate::{Display, RenderError, RenderOptions};
 
 pub struct ShownScene {
@@ -70,12 +69,6 @@ pub struct State {
     pub pending_views: Option<Pending<Result<DatasetViews, String>>>,
     /// How far the levels of detail are, where the scene has any.
     pub stream: Option<StreamStatus>,
-}
-
-/// A view of the whole, turning about its middle.
-fn overview(extent: &Extent, up: glam::DVec3, near: f64) -> Viewpoint {
-    let camera = extent.overview(up, near, [1; 2]);
-    Viewpoint::of(&camera, camera.depth(extent.centre))
 }
 
 impl State {
@@ -170,16 +163,9 @@ impl State {
     }
 
     pub fn settle_in(&mut self, shown: &ShownScene) {
-        let cameras = self.views.iter().flat_map(|views| &views.cameras).map(|(_, camera)| camera);
-        let of_cameras = if shown.info.up.is_none() { Up::of_cameras(cameras) } else { None };
-        let up = of_cameras.unwrap_or(Up::of(&shown.info)).direction();
-        self.navigator.surroundings = Surroundings { up, size: shown.extent.radius };
-        let first = self.views.as_ref().and_then(|views| views.cameras.first());
-        self.home = match first {
-            Some((_, camera)) => Viewpoint::of(camera, shown.extent.depth_before(camera)),
-            None => overview(&shown.extent, up, shown.info.near),
-        };
-        self.at_view = first.map(|_| 0);
+        let views = self.views.as_ref().map_or(&[][..], |views| &views.cameras);
+        (self.navigator.surroundings, self.home) = first_view(&shown.info, &shown.extent, views, None);
+        self.at_view = (!views.is_empty()).then_some(0);
         self.chosen_view = self.at_view;
         self.navigator.jump(self.home);
     }

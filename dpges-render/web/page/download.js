@@ -47,6 +47,15 @@ export async function download(url, progress, signal) {
   return bytes.subarray(0, size);
 }
 
+// The content that a page in one file has under `name`.
+export async function embedded(name) {
+  const text = atob(document.getElementById(`file-${name}`).textContent);
+  const bytes = new Uint8Array(text.length);
+  for (let at = 0; at < text.length; at += 1) bytes[at] = text.charCodeAt(at);
+  const unpacked = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+  return new Uint8Array(await new Response(unpacked).arrayBuffer());
+}
+
 export function nameOf(url) {
   return decodeURIComponent(new URL(url).pathname.split("/").pop()) || url;
 }

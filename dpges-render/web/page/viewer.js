@@ -1,9 +1,8 @@
 // The page: loads a scene, shows it, and draws again only when something has changed.
 
 import init, { Viewer } from "./pkg/dpges_web.js";
-import { OrbitCamera, parseCameras, upOf } from "./camera.js";
-import { Controls, isForScene } from "./controls.js";
-import { download, sizeOf, nameOf, webAddress } from "./download.js";
+import { Controls, calm, isForScene } from "./controls.js";
+import { download, embedded, sizeOf, nameOf, webAddress } from "./download.js";
 import { fetchWanted, openLevels } from "./levels.js";
 
 // What scenes of blended Gaussians or discs cannot show.
@@ -14,6 +13,8 @@ const LARGEST_RATIO = 2;
 const FAULT_CHECK_MS = 1000;
 // Frames farther apart than this were not drawn one after the other, ms.
 const PAUSE_MS = 1000;
+// Time that begins a movement, ms: the frame before it may be long ago.
+const FIRST_MS = 16;
 // Share of the newest frame in the mean frame time.
 const NEWEST = 0.1;
 
@@ -22,16 +23,17 @@ const NEEDS = "This page needs WebGPU or WebGL2: update the browser, and switch 
 const element = (id) => document.getElementById(id);
 const canvas = element("canvas");
 const settings = element("settings");
+const views = element("views");
 const parameters = new URLSearchParams(location.search);
 const ofPage = (name) => document.querySelector(`meta[name="dpges-${name}"]`).content || null;
 const parameter = (name) => parameters.get(name) ?? null;
-const camera = new OrbitCamera();
+// A page in one file has its parts in itself, under names that begin so.
+const isWhole = ofPage("scene")?.startsWith("#");
 
 let viewer;
 let largestPx = 0;
 let scene = null;
 let address = null;
-let firstCameras = [];
 let loading = null;
 // Of the cells of the scene that is shown.
 let streaming = new AbortController();
@@ -39,15 +41,17 @@ let streaming = new AbortController();
 let modulation = 1;
 let frameMs = 0;
 let drawnAt = 0;
+// Whether the view goes on by itself since the last frame.
+let moving = false;
 let pending = false;
 // Draws again when a cell that could not be loaded is tried again.
 let retry = 0;
 let faulty = false;
 
-const controls = new Controls(canvas, camera, draw);
+new Controls(canvas, () => (scene && !faulty ? viewer : null), draw);
 
 // What a test needs to see; nothing in the page uses it.
-export const page = { get viewer() { return viewer; }, get scene() { return scene; }, camera, draw, view, picture };
+export const page = { get viewer() { return viewer; }, get scene() { return scene; }, draw, options, picture };
 
 function state(name) {
   document.documentElement.dataset.state = name;
@@ -72,12 +76,12 @@ function say(text) {
 // --- Loading ---
 
 async function start() {
-  const poster = parameter("poster") ?? ofPage("poster");
-  if (poster) showPoster(webAddress(poster, location.href));
+  const poster = parameter("poster") ? webAddress(parameter("poster"), location.href) : ofPage("poster");
+  if (poster) showPoster(poster);
   if (parameter("controls") === "0") document.documentElement.dataset.controls = "0";
   state("loading");
   say("Starting");
-  await init();
+  await init(isWhole ? { module_or_path: await embedded("wasm") } : undefined);
   try {
     viewer = await Viewer.create(canvas, parameter("backend") ?? "auto");
   } catch (error) {
@@ -87,6 +91,7 @@ async function start() {
   largestPx = device.largest_px;
   element("device").textContent = `${device.backend}, ${device.precision_bits}-bit sums${device.adapter ? `, ${device.adapter}` : ""}`;
   setInterval(checkFault, FAULT_CHECK_MS);
+  if (isWhole && !parameter("url")) return loadEmbedded();
   const url = parameter("url") ?? ofPage("scene");
   if (!url) return state("empty");
   await loadAddress(webAddress(url, location.href));
@@ -97,21 +102,34 @@ function showPoster(url) {
   element("poster").hidden = false;
 }
 
+// The scene in this file, with its views and its path.
+async function loadEmbedded() {
+  const text = async (name) => new TextDecoder().decode(await embedded(name));
+  const bytes = await embedded("scene");
+  const path = ofPage("path") ? await text("path") : null;
+  await show(() => loadBytes(bytes, document.title), { views: await text("cameras"), path });
+  address = location.href;
+}
+
 async function loadAddress(url) {
   loading?.abort();
   loading = new AbortController();
   const signal = loading.signal;
   state("loading");
   say(nameOf(url));
-  const camerasUrl = new URL(parameter("cameras") ?? new URL("cameras.json", url), location.href);
-  const cameras = fetchCameras(camerasUrl, signal);
+  const path = parameter("path") ?? (url === new URL(ofPage("scene") ?? "", location.href).href ? ofPage("path") : null);
+  const beside = {
+    views: fetchText(parameter("cameras") ?? new URL("cameras.json", url), signal),
+    path: path && fetchText(path, signal),
+  };
+  const found = async () => ({ views: await beside.views, path: await beside.path });
   if (new URL(url).pathname.endsWith(".json")) {
     const budget = Number(parameter("budget")) || undefined;
     const progress = (share) => { element("progress-bar").value = share; };
-    const found = await cameras;
+    const texts = await found();
     const opened = await openLevels(viewer, url, budget, progress, signal);
     address = url;
-    return show(() => opened, found);
+    return show(() => opened, texts);
   }
   const bytes = await download(url, (size, total) => {
     element("progress-bar").value = total ? size / total : 0;
@@ -119,18 +137,19 @@ async function loadAddress(url) {
     say(`${nameOf(url)}: ${sizeOf(size)}${total ? ` of ${sizeOf(total)}` : ""}`);
   }, signal);
   const name = nameOf(url);
-  await show(() => loadBytes(bytes, name), await cameras);
+  await show(() => loadBytes(bytes, name), await found());
   address = url;
 }
 
-// A scene without cameras is looked at from outside.
-async function fetchCameras(url, signal) {
+// The text at an address, or null: a scene without cameras is looked at from outside.
+async function fetchText(place, signal) {
+  const url = webAddress(place, location.href);
   try {
     const response = await fetch(url, { signal });
-    return response.ok ? parseCameras(await response.text()) : [];
+    return response.ok ? await response.text() : null;
   } catch (error) {
     console.warn(`${url} is not used: ${error.message}`);
-    return [];
+    return null;
   }
 }
 
@@ -140,7 +159,7 @@ async function loadFile(file) {
   say(`${file.name}: ${sizeOf(file.size)}`);
   element("progress-bar").removeAttribute("value");
   const bytes = new Uint8Array(await file.arrayBuffer());
-  await show(() => loadBytes(bytes, file.name), []);
+  await show(() => loadBytes(bytes, file.name), {});
   address = null;
 }
 
@@ -152,8 +171,8 @@ function loadBytes(bytes, name) {
   }
 }
 
-// Shows what `load` gives the viewer, which describes it as JSON.
-async function show(load, cameras) {
+// Shows what `load` gives the viewer, which describes it as JSON, with the texts of its views and its camera path.
+async function show(load, { views, path }) {
   element("message").hidden = true;
   // The browser draws the text before the page is busy.
   await new Promise((resolve) => setTimeout(resolve));
@@ -165,14 +184,63 @@ async function show(load, cameras) {
   }
   streaming.abort();
   streaming = new AbortController();
-  firstCameras = cameras;
   frameMs = 0;
   fillSettings();
+  fillViews(used(views, "the views", (text) => JSON.parse(viewer.set_views(text))) ?? []);
+  element("play").hidden = used(path, "the camera path", (text) => viewer.set_path(text) ?? true) === null;
   reset();
+  openNamed(parameter("view"));
   state("shown");
   drawNow();
   element("poster").hidden = true;
 }
+
+// What `take` makes of a text; null if there is none, or if it is wrong, which is said.
+function used(text, what, take) {
+  try {
+    return text ? take(text) : null;
+  } catch (error) {
+    tell(`Shown without ${what}: ${error.message}`);
+    return null;
+  }
+}
+
+function tell(text) {
+  element("message-text").textContent = text;
+  element("message").hidden = false;
+}
+
+function fillViews(names) {
+  const options = names.map((name, i) => new Option(name || `view ${i + 1}`, i));
+  views.replaceChildren(new Option("Views", ""), ...options);
+  views.hidden = names.length < 2;
+}
+
+// The view that the address asks for.
+function openNamed(name) {
+  if (!name) return;
+  const found = [...views.options].find((option) => option.value && option.text === name);
+  if (!found) return tell(`No view is called "${name}": choose one below.`);
+  views.value = found.value;
+  viewer.go_to(Number(found.value), true);
+}
+
+function goTo(view) {
+  viewer.go_to(view, calm.matches);
+  draw();
+}
+
+function stepView(by) {
+  const count = views.options.length - 1;
+  if (count < 1) return;
+  const next = views.value === "" ? 0 : (Number(views.value) + by + count) % count;
+  views.value = String(next);
+  goTo(next);
+}
+
+views.addEventListener("change", () => {
+  if (views.value !== "") goTo(Number(views.value));
+});
 
 // What a file that is no scene may be instead.
 function hint(bytes) {
@@ -185,41 +253,32 @@ function hint(bytes) {
 // --- Drawing ---
 
 function reset() {
-  camera.stop();
-  camera.setUp(upDirection());
-  if (firstCameras.length > 0) {
-    camera.place(firstCameras[0], scene.centre, scene.radius);
-  } else {
-    camera.field = new OrbitCamera().field;
-    camera.fit(scene.centre, scene.radius);
-  }
+  const whole = viewer.reset(settings.up.value);
+  views.value = views.options.length > 1 ? "0" : "";
   const field = Number(parameter("fov"));
-  if (field > 0 && field < 170) camera.fieldDegrees = field;
-  settings.field.value = camera.fieldDegrees;
+  const asked = field > 0 && field < 170;
+  if (asked) viewer.set_field(field);
+  settings.field.value = asked ? field : whole;
   labelSettings();
   draw();
 }
 
-function upDirection() {
-  const axes = { x: [1, 0, 0], y: [0, 1, 0], z: [0, 0, 1] };
-  const name = settings.up.value;
-  if (!name) return scene.up ?? upOf(firstCameras);
-  return axes[name.at(-1)].map((value) => (name.startsWith("-") ? -value : value));
-}
-
-// The camera and the options as the viewer takes them.
-function view() {
+// Width and height of the picture, px.
+function size() {
   const ratio = Math.min(devicePixelRatio, LARGEST_RATIO) * Number(settings.scale.value);
   const px = (length) => Math.min(Math.max(Math.round(length * ratio), 1), largestPx);
-  const background = settings.background.value.match(/[0-9a-f]{2}/gi).map((byte) => parseInt(byte, 16) / 255);
-  const options = {
+  return [px(canvas.clientWidth), px(canvas.clientHeight)];
+}
+
+// The options as the viewer takes them.
+function options() {
+  return {
     display: settings.display.value,
     layer_count: Number(settings.layers.value),
     modulation,
     peeling: settings.peeling.value,
-    background,
+    background: settings.background.value.match(/[0-9a-f]{2}/gi).map((byte) => parseInt(byte, 16) / 255),
   };
-  return [camera.entry(px(canvas.clientWidth), px(canvas.clientHeight)), options];
 }
 
 function draw() {
@@ -231,20 +290,21 @@ function draw() {
 function frame(now) {
   pending = false;
   const passed = now - drawnAt;
-  const moving = controls.advance(Math.min(passed, 100) / 1000);
   if (passed < PAUSE_MS && drawnAt > 0) frameMs = frameMs > 0 ? frameMs + NEWEST * (passed - frameMs) : passed;
   drawnAt = now;
   try {
-    drawNow();
+    drawNow(moving ? passed : FIRST_MS);
   } catch (error) {
-    return fail(error);
+    fail(error);
   }
-  if (moving) draw();
 }
 
-function drawNow() {
-  viewer.set_view(...view().map((part) => JSON.stringify(part)));
+// The frame `ms` after the one before.
+function drawNow(ms = 0) {
+  moving = viewer.advance(ms / 1000, ...size(), JSON.stringify(options()));
+  if (moving) draw();
   if (!viewer.draw()) draw();
+  element("play").textContent = viewer.is_playing() ? "Stop" : "Play";
   describe(stream());
 }
 
@@ -317,7 +377,7 @@ function labelSettings() {
 }
 
 settings.addEventListener("input", (event) => {
-  if (event.target === settings.field) camera.fieldDegrees = Number(settings.field.value);
+  if (event.target === settings.field) viewer.set_field(Number(settings.field.value));
   if (event.target === settings.hardness) modulation = 10 ** Number(settings.hardness.value);
   if (event.target === settings.up) return reset();
   labelSettings();
@@ -332,7 +392,7 @@ function embed() {
   if (address && !ofPage("scene")) url.searchParams.set("url", address);
   const text = `<iframe src="${url.href.replaceAll("&", "&amp;").replaceAll('"', "%22")}" title="dpges scene" width="800" height="450"`
     + ` style="border:0" loading="lazy" allow="fullscreen; webgpu"></iframe>`;
-  const local = !address || /^(localhost|127\.|\[::1\])/.test(url.hostname);
+  const local = !address || !url.hostname || /^(localhost|127\.|\[::1\])/.test(url.hostname);
   element("embed-note").textContent = local
     ? "This scene is on your device only: put it on a web server, then open it from there."
     : "Copy this into your page.";
@@ -363,13 +423,17 @@ const actions = {
     if (!scene) state("empty");
   },
   reset,
+  play: () => {
+    viewer.play_or_stop();
+    draw();
+  },
   fullscreen: () => (document.fullscreenElement ? document.exitFullscreen() : element("stage").requestFullscreen()),
   settings: () => showSettings(settings.hidden),
   embed,
   copy,
   help: () => element("help").showModal(),
 };
-const keys = { KeyR: "reset", KeyF: "fullscreen", KeyT: "settings", KeyH: "help" };
+const keys = { KeyR: "reset", Space: "play", KeyF: "fullscreen", KeyT: "settings", KeyH: "help" };
 
 document.addEventListener("click", (event) => {
   const action = event.target.closest("[data-action]")?.dataset.action;
@@ -378,6 +442,7 @@ document.addEventListener("click", (event) => {
 document.addEventListener("keydown", (event) => {
   if (!scene || !isForScene(event)) return;
   if (event.code in keys) actions[keys[event.code]]();
+  if (event.code === "PageUp" || event.code === "PageDown") stepView(event.code === "PageUp" ? -1 : 1);
   const display = /^Digit([1-8])$/.exec(event.code);
   if (display) {
     const option = settings.display.options[Number(display[1]) - 1];

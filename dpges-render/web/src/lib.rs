@@ -1,7 +1,6 @@
 //! The renderer in a browser: what the page's `viewer.js` calls. Other targets see an empty library.
 #![cfg(target_arch = "wasm32")]
 
-mod bounds;
 mod device;
 mod page;
 mod pixels;

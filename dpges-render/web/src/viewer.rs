@@ -1,9 +1,12 @@
 //! The state of the page: a canvas, the renderer, and the scene it shows.
 
 mod levels;
+mod tour;
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
+use dpges_render::navigation::Tour;
+use dpges_render::path::cameras_from_json;
 use dpges_render::{Precision, RenderOptions, Renderer};
 use js_sys::{Promise, Uint8ClampedArray};
 use serde::Serialize;
@@ -12,9 +15,8 @@ use wasm_bindgen_futures::future_to_promise;
 use web_sys::HtmlCanvasElement;
 use wgpu::{CurrentSurfaceTexture, SurfaceConfiguration, TextureFormat, TextureUsages, TextureView};
 
-use crate::bounds;
 use crate::device::Gpu;
-use crate::page::{self, PageCamera, PageOptions};
+use crate::page::{self, PageOptions};
 use crate::pixels::Copy;
 use levels::Levels;
 
@@ -25,6 +27,8 @@ pub struct Viewer {
     precision: Precision,
     renderer: Renderer,
     levels: Levels,
+    /// Through the scene that is shown.
+    tour: Option<Tour>,
     view: Option<View>,
 }
 
@@ -47,7 +51,7 @@ impl Viewer {
         let (precision, depths) = (Renderer::best_precision(&gpu.device), Renderer::best_depths(&gpu.device));
         let renderer = Renderer::new(&gpu.device, &gpu.queue, format, precision, depths)?;
         gpu.surface.configure(&gpu.device, &surface);
-        Ok(Self { gpu, surface, precision, renderer, levels: Levels::default(), view: None })
+        Ok(Self { gpu, surface, precision, renderer, levels: Levels::default(), tour: None, view: None })
     }
 
     /// The device that draws, as JSON.
@@ -72,15 +76,11 @@ impl Viewer {
         self.summary(&scene, [scene.surfels.len(), scene.gaussians.len()])
     }
 
-    /// Says what the next frames show: a camera and options as JSON.
+    /// Says what the next frame shows by itself: a camera of a `cameras.json`, and options as JSON.
     pub fn set_view(&mut self, camera: &str, options: &str) -> Result<(), JsError> {
         let info = self.renderer.scene_info().ok_or_else(|| JsError::new("no scene is loaded"))?;
-        let camera: PageCamera = serde_json::from_str(camera).map_err(|error| wrong("camera", &error))?;
-        let camera = camera.camera(info.near);
-        camera.validate()?;
-        let options: PageOptions = serde_json::from_str(options).map_err(|error| wrong("options", &error))?;
-        self.view = Some(View { camera, options: options.options(info) });
-        Ok(())
+        let cameras = cameras_from_json(&format!("[{camera}]"), info).map_err(|cause| JsError::new(&cause))?;
+        self.look(cameras[0].1, options)
     }
 
     /// Draws a frame on the canvas, which takes the camera's size. `false`: the browser had no room for a frame now.
@@ -151,9 +151,17 @@ impl Viewer {
 impl Viewer {
     /// Describes `scene`, or the scene of `counts` primitives whose coarsest level it is, which is shown from now on.
     fn summary(&mut self, scene: &SceneData, [surfels, gaussians]: [usize; 2]) -> Result<String, JsError> {
-        let (centre, radius) = bounds::sphere(scene);
+        self.tour = Some(Tour::new(scene));
         self.view = None;
-        json(&page::Summary { surfels, gaussians, centre, radius, info: &scene.info })
+        json(&page::Summary { surfels, gaussians, info: &scene.info })
+    }
+
+    /// The next frame shows what `camera` sees, with options as JSON.
+    fn look(&mut self, camera: Camera, options: &str) -> Result<(), JsError> {
+        let info = self.renderer.scene_info().ok_or_else(|| JsError::new("no scene is loaded"))?;
+        let options: PageOptions = serde_json::from_str(options).map_err(|error| wrong("options", &error))?;
+        self.view = Some(View { camera, options: options.options(info) });
+        Ok(())
     }
 
     /// Renders the view into `target`, then what `record` adds, and hands both to the device.

@@ -56,9 +56,11 @@ DROP = """
   dispatchEvent(new DragEvent("drop", { dataTransfer: transfer }));
 })()
 """
-EYE = """(async () => (await import("./viewer.js")).page.camera.eye())()"""
+EYE = """(async () => Array.from((await import("./viewer.js")).page.viewer.eye()))()"""
+OPTIONS = """(async () => (await import("./viewer.js")).page.options())()"""
 DEVICE = """(async () => (await import("./viewer.js")).page.viewer.device())()"""
 COMPLETE = """(async () => JSON.parse((await import("./viewer.js")).page.viewer.levels()).complete)()"""
+PLAY = """document.getElementById("play").textContent"""
 STATUS = """document.getElementById("status").textContent"""
 TEXT = """document.getElementById("message-text").textContent"""
 WAIT = "new Promise((resolve) => setTimeout(resolve, %d))"
@@ -131,8 +133,8 @@ def exported(tab, folder, label):
     poster = tab.evaluate("[document.getElementById('poster').naturalWidth, document.getElementById('poster').hidden]")
     check(f"{label}: had a poster", poster == [640, True], poster)
     try:
-        camera, options = tab.evaluate("(async () => (await import('./viewer.js')).page.view())()")
-        tab.evaluate(READ % (json.dumps(camera), json.dumps({**options, "layer_count": 9})))
+        camera = json.loads((folder / "reference.json").read_text())[0]["camera"]
+        tab.evaluate(READ % (json.dumps(camera), json.dumps({**tab.evaluate(OPTIONS), "layer_count": 9})))
         check(f"{label}: nine layers are refused", False)
     except RuntimeError as error:
         check(f"{label}: nine layers are refused", "`layer_count` is 9" in str(error), str(error).splitlines()[0])
@@ -190,10 +192,62 @@ def behaviour(tab, label):
         fingers("touchMove", 300 - 10 * step, 500 + 10 * step)
     fingers("touchEnd")
     check(f"{label}: two fingers zoom", wait_until(tab, moved(before)))
-    for kind in ("keyDown", "keyUp"):
-        tab.call("Input.dispatchKeyEvent", type=kind, code="Digit2", key="2", windowsVirtualKeyCode=50)
+    check(f"{label}: it comes to rest", rests(tab))
+
+    before = tab.evaluate(EYE)
+    tab.call("Input.dispatchMouseEvent", type="mouseWheel", x=640, y=360, deltaX=0, deltaY=-200)
+    check(f"{label}: the wheel approaches", wait_until(tab, moved(before)) and rests(tab))
+    before = tab.evaluate(EYE)
+    for clicks in (1, 2):
+        for kind in ("mousePressed", "mouseReleased"):
+            tab.call("Input.dispatchMouseEvent", type=kind, x=500, y=360, button="left", buttons=1, clickCount=clicks)
+    check(f"{label}: a double click sets the focus", wait_until(tab, moved(before)) and rests(tab))
+
+    def key(code, name, number):
+        for kind in ("keyDown", "keyUp"):
+            tab.call("Input.dispatchKeyEvent", type=kind, code=code, key=name, windowsVirtualKeyCode=number)
+
+    tab.call("Input.dispatchKeyEvent", type="keyDown", code="KeyW", key="w", windowsVirtualKeyCode=87)
+    before = tab.evaluate(EYE)
+    check(f"{label}: W flies", wait_until(tab, moved(before)))
+    tab.call("Input.dispatchKeyEvent", type="keyUp", code="KeyW", key="w", windowsVirtualKeyCode=87)
+    check(f"{label}: it comes to rest", rests(tab))
+
+    names = tab.evaluate("[...document.getElementById('views').options].map((option) => option.text)")
+    check(f"{label}: the views are listed", names == ["Views", "front", "from the left"], names)
+    before = tab.evaluate(EYE)
+    key("PageDown", "PageDown", 34)
+    flown = wait_until(tab, moved(before)) and rests(tab)
+    check(f"{label}: page down flies to the next view", flown and tab.evaluate("document.getElementById('views').value") == "1")
+    before = tab.evaluate(EYE)
+    key("Space", " ", 32)
+    check(f"{label}: the camera path plays", wait_until(tab, moved(before)) and tab.evaluate(PLAY) == "Stop", tab.evaluate(PLAY))
+    tab.call("Input.dispatchMouseEvent", type="mouseWheel", x=640, y=360, deltaX=0, deltaY=100)
+    check(f"{label}: hands end it", wait_until(tab, f"{PLAY} === 'Play'") and rests(tab))
+    key("Digit2", "2", 50)
     check(f"{label}: a key shows the surfels", wait_until(tab, "document.getElementById('settings').display.value === 'surfels'"))
     check(f"{label}: no message", tab.evaluate("document.getElementById('message').hidden"), tab.evaluate(TEXT))
+
+
+def single(tab, folder, save):
+    """One file opens from a disk, also on the screen of a phone, where fingers find the buttons."""
+    tab.call("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
+    state = tab.open((folder / "single.html").resolve().as_uri())
+    check("one file from a disk is shown", state == "shown", tab.evaluate(TEXT))
+    sides = tab.evaluate("""[...document.querySelectorAll("#bar > :not([hidden])")].flatMap((button) => {
+        const { width, height, left, right } = button.getBoundingClientRect();
+        return [width, height, left >= 0 && right <= innerWidth ? 44 : 0];
+    })""")
+    check("buttons are as large as a finger", len(sides) == 18 and min(sides) >= 44, sides)
+    loaded = tab.evaluate("performance.getEntriesByType('resource').map((entry) => entry.name.slice(0, 8))")
+    check("it needs no other file", all(name.startswith(("data:", "blob:")) for name in loaded), loaded)
+    tab.evaluate("document.getElementById('play').click()")
+    check("it plays the path", wait_until(tab, f"{PLAY} === 'Stop'"))
+    if save:
+        tab.evaluate(WAIT % 500)
+        tab.screenshot(save / "single.png")
+    state = tab.open((folder / "single.html").resolve().as_uri() + "?view=nowhere")
+    check("a view that is not there is said", state == "shown" and 'No view is called "nowhere"' in tab.evaluate(TEXT), tab.evaluate(TEXT))
 
 
 def faults(tab, site):
@@ -253,6 +307,8 @@ def main():
                     exported(tab, folder, label)
                     behaviour(tab, label)
                     pictures(tab, site, folder, backend, chosen.save)
+            with Chromium() as tab:
+                single(tab, folder, chosen.save)
             with Chromium() as tab:
                 faults(tab, site)
     if failures:

@@ -13,7 +13,7 @@ use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::export::format::{ExportFormat, Filter, Origin, filter_text, place_rows};
 use dpges_train::eval::export::mesh::mesh;
-use dpges_train::eval::export::page;
+use dpges_train::eval::export::page::{self, PageArgs};
 use dpges_train::eval::export::splats::{SplatFormat, file, filter_of, is_changed, loss, splats};
 use dpges_train::lod::{self, CELL_PRIMITIVES};
 use dpges_train::run::folder::hold_file;
@@ -65,10 +65,8 @@ pub struct ExportArgs {
     /// as fine as memory allows]
     #[arg(long, value_name = "SIZE")]
     voxel: Option<f64>,
-    /// Folder of the browser viewer for html and lod, as dpges-render/web/build.sh builds it [default: DPGES_WEB_PAGE,
-    /// dpges-web beside the program, or that of its sources]
-    #[arg(long, value_name = "DIR")]
-    page: Option<PathBuf>,
+    #[command(flatten)]
+    page: PageArgs,
     #[command(flatten)]
     device: DeviceArgs,
 }
@@ -82,9 +80,9 @@ fn cell_primitives(text: &str) -> Result<usize, String> {
 }
 
 pub fn run(args: &ExportArgs) -> Result<()> {
-    args.format.check_ending(&args.out).map_err(Failure::Usage)?;
+    args.page.check(args.format, &args.out).map_err(Failure::Usage)?;
     let _held = match args.format {
-        ExportFormat::Html => Some(Hold::of_folder(&args.out)?),
+        ExportFormat::Html if !args.page.single_file => Some(Hold::of_folder(&args.out)?),
         ExportFormat::Lod => args.out.parent().map(make_folder).transpose()?.and(None),
         _ => hold_file(&args.out)?,
     };
@@ -108,9 +106,8 @@ pub fn run(args: &ExportArgs) -> Result<()> {
         return args.lod(scene.data, data.ok());
     }
     let Some(device) = device else {
-        let cameras: Vec<Camera> = data.iter().flat_map(|(_, data)| &data.train).map(|view| view.camera).collect();
-        let title = args.out.file_name().unwrap_or_default().to_string_lossy();
-        return print(&table(&page::write(&scene.data, &cameras, &title, args.page.as_deref(), &args.out)?));
+        let tour = args.page.tour(data.as_ref().ok().map(|(_, data)| data), &scene.data.info)?;
+        return print(&table(&page::write(&scene.data, &tour, &args.page, &args.out)?));
     };
     watched(device, || {
         print(&table(&match args.format.of_splats() {
@@ -182,13 +179,13 @@ impl ExportArgs {
         let cameras: Vec<Camera> = data.iter().flat_map(|(_, data)| &data.train).map(|view| view.camera).collect();
         let steps = self.fit.unwrap_or(if cameras.is_empty() { 0 } else { LOD_FIT_STEPS });
         let cell_primitives = self.cell_primitives;
+        let tour = self.page.tour(data.as_ref().map(|(_, data)| data), &scene.info)?;
         let write = |fit: Option<(usize, &Device)>| {
             let index = lod::write(scene, &lod::Options { cell_primitives, cameras: &cameras, fit }, &self.out)?;
             let mut rows = vec![("folder", self.out.display().to_string())];
             rows.extend(lod::describe::of(&index).rows());
             rows.push(("fit", if steps > 0 { format!("{steps} steps per level") } else { "none".to_owned() }));
-            let title = self.out.file_name().unwrap_or_default().to_string_lossy();
-            rows.push(page::write_beside_levels(&cameras, &title, self.page.as_deref(), &self.out)?);
+            rows.push(page::write_beside_levels(&tour, &self.page, &self.out)?);
             print(&table(&rows))
         };
         if steps == 0 {

@@ -37,6 +37,7 @@ use dpges_train::blocks::BlocksError;
 use dpges_train::config::ConfigError;
 use dpges_train::dataset::source::SourceError;
 use dpges_train::device::ranks::launched;
+use dpges_train::eval::export::page::PageError;
 use dpges_train::eval::video::VideoError;
 use dpges_train::metrics::lpips::choice::ChoiceError;
 use dpges_train::run::folder::{hold_file, write_json};
@@ -126,6 +127,7 @@ fn is_usage(error: &(dyn std::error::Error + 'static)) -> bool {
         || matches!(error.downcast_ref(), Some(ChoiceError::NoneAndOthers | ChoiceError::Twice { .. }))
         || error.downcast_ref().is_some_and(BlocksError::is_usage)
         || error.downcast_ref().is_some_and(|error| !matches!(error, ScaleError::Core(_)))
+        || matches!(error.downcast_ref(), Some(PageError::View { .. }))
         || matches!(error.downcast_ref(), Some(VideoError::Sizes { .. } | VideoError::NoFormat { .. }))
         || error.downcast_ref::<ConfigError>().is_some_and(|error| !matches!(error, ConfigError::Io { .. }))
 }

@@ -13,6 +13,7 @@ use dpges_train::device::DeviceRequest;
 use dpges_train::eval::painted::{Painted, Wanted};
 use dpges_train::eval::rendered::Renderer;
 use dpges_train::eval::rendering_preset::RenderingPreset;
+use dpges_train::eval::stitched::{self, PictureLens};
 use dpges_train::eval::video::Video;
 use dpges_train::run::folder::hold_file;
 use dpges_train::run::hold::Hold;
@@ -59,6 +60,9 @@ pub struct RenderArgs {
     /// Size of the pictures, as in 1920x1080; the vertical field of view stays
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     size: Option<Size>,
+    /// Projection of the pictures [default: that of the cameras]; --size of a panorama is twice as wide as high
+    #[arg(long, value_name = "LENS", value_enum, conflicts_with = "layers")]
+    lens: Option<PictureLens>,
     /// Which renderer
     #[arg(long, value_enum, default_value_t = Engine::Training)]
     renderer: Engine,
@@ -178,7 +182,7 @@ impl RenderArgs {
     /// The pictures to take, with what; leaves out of `scene` what the preset and pictures without a background do without.
     fn shots(&self, scene: &mut Scene) -> Result<(Vec<Shot>, Wanted)> {
         let (choice, alpha) = self.choice();
-        let shots = self.path.shots(self.frames.map(|frames| frames as usize), self.size, &choice, scene)?;
+        let shots = self.path.shots(self.frames.map(|frames| frames as usize), self.size, self.lens, &choice, scene)?;
         if let Some(preset) = self.preset {
             preset.apply(&mut scene.data);
         }
@@ -200,7 +204,11 @@ impl RenderArgs {
         let mut sink = Sink::new(hold, video.transpose()?, shots, *wanted)?;
         let mut progress = Progress::new(LogStyle::Bar, 0, shots.len());
         for shot in shots {
-            progress.step(sink.take(shot, &paint(&shot.camera)?)?, shots.len());
+            let painted = match self.lens {
+                Some(PictureLens::Equirectangular) => stitched::painted(&shot.camera, &mut paint)?,
+                None => paint(&shot.camera)?,
+            };
+            progress.step(sink.take(shot, &painted)?, shots.len());
         }
         print(&sink.finish()?)
     }

@@ -20,7 +20,7 @@ use super::layout::Layout;
 use super::names::{in_folder, listing};
 use super::reprojection;
 use super::world::{drop_lost, mean_and_extent, near};
-use super::{Dataset, Format, LoadOptions, PointCloud, inventory};
+use super::{Dataset, Format, LoadOptions, PointCloud, inventory, panoramas};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -31,6 +31,7 @@ const RECENTRE_BEYOND_EXTENTS: f64 = 100.0;
 pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOptions) -> Result<Dataset> {
     let root = &layout.folder.root;
     check(&source, options)?;
+    panoramas::cut(&mut source)?;
     check_cameras(&source, options.near.unwrap_or(1.0))?;
     let train_centres: Vec<DVec3> = frames_of(&source, Split::Train).map(|frame| frame.camera.centre()).collect();
     let (mean, extent) = mean_and_extent(&train_centres);
@@ -82,10 +83,14 @@ pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOption
     let frames: Vec<&Frame> =
         [Split::Train, Split::Test].into_iter().flat_map(|split| frames_of(&source, split)).collect();
     let decoder = Arc::new(ImageDecoder::new(options, background));
+    let has_masks = frames.iter().any(|frame| frame.mask.is_some());
     let (mut train, spare_memory) = reading::views(&frames, options.memory, &decoder)?;
-    let test = train.split_off(train_centres.len());
+    let read: HashSet<String> = train.iter().map(|view| view.name.clone()).collect();
+    let left_out = |frame: &&mut Frame| !read.contains(&frame.name);
+    source.frames.iter_mut().filter(left_out).for_each(|frame| frame.split = Split::Neither);
+    let test = train.split_off(frames_of(&source, Split::Train).count());
     let masked = Masked::of(train.iter().chain(&test));
-    if frames.iter().any(|frame| frame.mask.is_some()) && masked.ignored_pixels == 0 {
+    if has_masks && masked.ignored_pixels == 0 {
         let message = format!("the masks of {} views mask nothing: none of their pixels is black", masked.masked_views);
         notices.add(Kind::Unused, message, "make what is not to count black (0, not nearly so)");
     }

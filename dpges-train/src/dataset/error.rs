@@ -41,6 +41,12 @@ pub enum DatasetError {
     )]
     CameraModel { path: PathBuf, camera: String, model: String, reason: &'static str },
     #[error(
+        "{path}: view `{view}` is a panorama of {}x{} px; one of all directions is twice as wide as high: pad {image} by what it \
+         lacks and mask that, or give the view the camera model of its picture",
+        found[0], found[1]
+    )]
+    Panorama { path: PathBuf, image: PathBuf, view: String, found: [usize; 2] },
+    #[error(
         "{path}: the distortion of view `{view}` cannot be undone with a pinhole camera of half to twice its focal \
          length; check its coefficients, undistort the photographs first, or use them as they are (`data.undistort` = false)"
     )]

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use dpges_core::camera::CameraFromWorld;
 use glam::{DMat3, DQuat, DVec3};
-use image::{DynamicImage, GrayImage, Luma, Rgb, RgbImage, Rgba, RgbaImage};
+use image::{DynamicImage, GrayImage, ImageBuffer, Luma, Rgb, RgbImage, Rgba, RgbaImage};
 use tempfile::TempDir;
 
-use super::{Dataset, LoadOptions, View, load};
+use super::{Dataset, LoadOptions, View, builtin_panorama, load};
 
 /// Size and intrinsics of the photographs of [`scene`].
 const WIDTH: u64 = 24;
@@ -166,6 +166,47 @@ pub(crate) fn export(root: &Path, data: &Dataset) {
     let held_out: Vec<String> = data.test.iter().map(|view| format!("{:?}", file(view))).collect();
     let json = format!(r#"{{"test_filenames": [{}], "frames": [{}]}}"#, held_out.join(","), frames.join(","));
     std::fs::write(root.join("transforms.json"), json).unwrap();
+}
+
+/// Panoramas of `width` px at the places of the views of `data` as a nerfstudio dataset: `images/`, `depths/` in millimetres,
+/// `points3D.ply`, `transforms.json`.
+pub(crate) fn export_panoramas(root: &Path, data: &Dataset, width: usize, supersampling: usize) {
+    let file = |view: &View| format!("images/{}.png", view.name);
+    let frame = |view: &View| {
+        let pose = view.camera.camera_from_world;
+        let (picture, distances) = builtin_panorama(&pose, width, supersampling);
+        let [columns, rows] = [picture.width as u32, picture.height as u32];
+        save(&root.join(file(view)), RgbImage::from_raw(columns, rows, picture.bytes).unwrap());
+        let steps = distances.iter().map(|distance| (1e3 * distance).round() as u16).collect();
+        let map = ImageBuffer::<Luma<u16>, _>::from_raw(columns, rows, steps).unwrap();
+        save(&root.join(format!("depths/{}.png", view.name)), map);
+        format!(r#"{{"file_path": "{}", "transform_matrix": {}}}"#, file(view), transform_matrix(&pose))
+    };
+    let frames: Vec<String> = data.train.iter().chain(&data.test).map(frame).collect();
+    let held_out: Vec<String> = data.test.iter().map(|view| format!("{:?}", file(view))).collect();
+    let header = format!(r#""camera_model": "EQUIRECTANGULAR", "test_filenames": [{}]"#, held_out.join(","));
+    write_transforms(&root.join("transforms.json"), &header, &frames);
+    write_points(&root.join("points3D.ply"), data);
+}
+
+/// The points of a dataset as PLY.
+pub(crate) fn write_points(path: &Path, data: &Dataset) {
+    let names = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"];
+    let properties = names.map(|name| format!("property {name}\n")).concat();
+    let mut ply =
+        format!("ply\nformat ascii 1.0\nelement vertex {}\n{properties}end_header\n", data.points.positions.len());
+    for ([x, y, z], colour) in data.points.positions.iter().zip(&data.points.colours) {
+        let [red, green, blue] = colour.map(|channel| (255.0 * channel).round());
+        writeln!(ply, "{x} {y} {z} {red} {green} {blue}").unwrap();
+    }
+    std::fs::write(path, ply).unwrap();
+}
+
+/// Peak signal-to-noise ratio of 8-bit values, dB.
+pub(crate) fn psnr(a: &[u8], b: &[u8]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let square = a.iter().zip(b).map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2)).sum::<f64>() / a.len() as f64;
+    10.0 * (255.0f64.powi(2) / square).log10()
 }
 
 /// A folder with [`write_colmap`].

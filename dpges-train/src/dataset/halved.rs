@@ -36,7 +36,7 @@ impl View {
             Some(map) => Some(map.seen_by(&camera, &self.camera, &*photograph.picture()?)),
             None => None,
         };
-        Ok(Self { name: self.name.clone(), camera, photograph, depth })
+        Ok(Self { camera, photograph, depth, ..self.clone() })
     }
 }
 

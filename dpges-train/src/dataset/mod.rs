@@ -2,7 +2,8 @@
 //! Bundler, and a small built-in scene.
 //!
 //! `layout` finds the cameras among the files of a folder. A format reader (`colmap`, `nerfstudio`, `guest`) describes the dataset as a
-//! list of frames with lenses and poses; `assemble` finds its size and place, and moves geo-referenced worlds to the origin;
+//! list of frames with lenses and poses; `panoramas` puts the faces of a cube in the place of each panorama;
+//! `assemble` finds its size and place, and moves geo-referenced worlds to the origin;
 //! `inventory` says of the other files that they are not used, by the `conventions` of the programs that write them; and
 //! `reading` reads the images in parallel, or only their headers, and then the others when they are needed: `decoder` undistorts
 //! them if asked to, and makes them smaller.
@@ -32,6 +33,7 @@ mod layout;
 mod load_options;
 pub(crate) mod names;
 pub mod neighbours;
+mod panoramas;
 mod reprojection;
 pub mod source;
 mod split;
@@ -52,10 +54,14 @@ pub use self::image::depth::{DepthKind, DepthMap};
 pub use self::image::masks::Masked;
 pub(crate) use self::image::masks::read as read_mask;
 pub use self::image::packed::PackedPicture;
+pub use self::image::panorama::Face;
+pub(crate) use self::image::panorama::{stitched, stitched_depth};
 pub(crate) use self::image::photograph::{MOST_PREFETCHED, prefetch};
 pub use self::image::photograph::{Photograph, pictures};
 pub use self::image::picture::Picture;
 pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
+#[cfg(test)]
+pub(crate) use builtin::{builtin_panorama, photograph as builtin_photograph};
 pub use empty_space::EmptySpace;
 pub use error::DatasetError;
 pub use finding::{Finding, Kind, Notices};
@@ -89,6 +95,8 @@ pub struct View {
     pub photograph: Photograph,
     /// `None` if there is none, or none was asked for. Only training views have one.
     pub depth: Option<DepthMap>,
+    /// The part of the photograph that it is, if that is a panorama.
+    pub face: Option<Face>,
 }
 
 /// Points on the surfaces of the scene.
@@ -173,6 +181,11 @@ impl View {
         Ok(())
     }
 
+    /// The image's path within its dataset, also of a part of it.
+    pub fn photograph_name(&self) -> String {
+        self.face.map_or_else(|| self.name.clone(), |face| face.photograph_of(&self.name))
+    }
+
     /// The camera without its lens: the widest pinhole camera all of whose pixels are on the photograph; `None` if no camera
     /// of half to twice its focal length has that.
     pub fn undistorted_camera(&self) -> Option<Camera> {
@@ -192,7 +205,7 @@ impl View {
         let photograph = self.picture()?;
         let picture = undistort::resample(&photograph, &self.camera, &camera);
         let depth = self.depth.as_ref().map(|map| map.seen_by(&camera, &self.camera, &picture));
-        Ok(Some(Self { name: self.name.clone(), camera, photograph: picture.into(), depth }))
+        Ok(Some(Self { camera, photograph: picture.into(), depth, ..self.clone() }))
     }
 }
 
@@ -207,16 +220,23 @@ impl Dataset {
         self.train.iter().chain(&self.test).chain(&self.validation)
     }
 
-    /// Moves every `every`-th training view to [`validation`](Self::validation); 0 moves none. It takes the middle view
-    /// of each group of `every`, because the first view is often the end of a path and shows what no other view does.
-    /// At least two training views remain. Points that only removed views saw remain, with no view that sees them.
+    /// Moves every `every`-th training photograph to [`validation`](Self::validation), the faces of a panorama together; 0 moves
+    /// none. It takes the middle one of each group of `every`, because the first is often the end of a path and shows what no
+    /// other does. At least two training photographs remain. Points that only removed views saw remain, with no view that sees
+    /// them.
     pub fn keep_for_validation(&mut self, every: usize) {
-        let count = self.train.len();
+        let is_next = |pair: &[View]| pair[1].face.is_none() || pair[0].photograph_name() != pair[1].photograph_name();
+        let mut numbers = vec![0; self.train.len()];
+        for (at, pair) in self.train.windows(2).enumerate() {
+            numbers[at + 1] = numbers[at] + usize::from(is_next(pair));
+        }
+        let count = numbers.last().map_or(0, |last| last + 1);
         let first = (every / 2).min(count.saturating_sub(1) / 2);
-        let trains = |index: usize| every <= 1 || count <= 2 || index % every != first;
-        self.points.seen_by.keep_views((0..count).map(trains));
-        for (index, view) in std::mem::take(&mut self.train).into_iter().enumerate() {
-            let views = if trains(index) { &mut self.train } else { &mut self.validation };
+        let trains: Vec<bool> =
+            numbers.iter().map(|number| every <= 1 || count <= 2 || number % every != first).collect();
+        self.points.seen_by.keep_views(trains.iter().copied());
+        for (trains, view) in trains.into_iter().zip(std::mem::take(&mut self.train)) {
+            let views = if trains { &mut self.train } else { &mut self.validation };
             views.push(view);
         }
     }

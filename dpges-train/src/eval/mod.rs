@@ -17,6 +17,7 @@ pub mod rendered;
 pub mod rendering_preset;
 pub mod simplify;
 pub mod splat_fit;
+pub mod stitched;
 pub mod table;
 #[cfg(test)]
 mod tests;

@@ -244,7 +244,7 @@ mod tests {
             let disc = (0..SIZE * SIZE).map(|pixel| if radius(pixel) < 12.0 { 255 } else { 0 }).collect();
             let (bytes, alpha) = (vec![64; 3 * SIZE * SIZE], alpha.then_some(disc));
             let picture = Picture { width: SIZE, height: SIZE, bytes, alpha, counted: None };
-            View { name: i.to_string(), camera, photograph: picture.into(), depth: None }
+            View { name: i.to_string(), camera, photograph: picture.into(), depth: None, face: None }
         };
         let colours = vec![[0.75; 3]; points.len()];
         let points = PointCloud { positions: points, colours, seen_by: Tracks::default() };

@@ -108,10 +108,15 @@ pub fn draw(
 }
 
 impl<'a> Group<'a> {
-    /// Of the view `at` and its nearest others.
+    /// Of the view `at` and its nearest others. Of panoramas these are faces of others that look about the same way.
     fn new(views: &[&'a View], at: usize) -> Result<Self> {
         let distance = |other: usize| views[other].camera.centre().distance(views[at].camera.centre());
-        let mut others: Vec<usize> = (0..views.len()).filter(|&other| other != at).collect();
+        let forward = |view: usize| views[view].camera.camera_from_world.rotation.row(2);
+        let is_apart = |&other: &usize| {
+            let is_other = views[other].photograph_name() != views[at].photograph_name();
+            is_other && (views[other].face.is_none() || forward(other).dot(forward(at)) > 0.5)
+        };
+        let mut others: Vec<usize> = (0..views.len()).filter(is_apart).collect();
         others.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)));
         others.truncate(NEIGHBOURS);
         let others = others.into_iter().map(|other| Ok((&views[other].camera, views[other].picture()?)));
@@ -233,7 +238,7 @@ pub(super) mod tests {
                 (0..3).for_each(|channel| planes[channel * SIZE * SIZE + pixel] = colour[channel]);
             }
             let picture = Picture::from_planes(&planes, SIZE, SIZE);
-            View { name: number.to_string(), camera, photograph: picture.into(), depth: None }
+            View { name: number.to_string(), camera, photograph: picture.into(), depth: None, face: None }
         };
         (0..40).map(photo).collect()
     }

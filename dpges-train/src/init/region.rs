@@ -27,7 +27,7 @@ impl Region {
     }
 
     /// A cube around the point nearest to all optical axes that contains the sphere the median camera sees completely.
-    /// If the cameras look away from each other, the cube is centred on their mean and reaches `extent` (world units)
+    /// If two fifths of the cameras look away from it, the cube is centred on their mean and reaches `extent` (world units)
     /// to each side.
     pub fn in_sight(cameras: &[Camera], extent: f64) -> Self {
         let mean = cameras.iter().map(Camera::centre).sum::<DVec3>() / cameras.len().max(1) as f64;
@@ -35,8 +35,10 @@ impl Region {
         let ahead = |camera: &Camera| (focus - camera.centre()).dot(forward(camera));
         let mut radii: Vec<f64> = cameras.iter().map(|camera| ahead(camera) * narrowest_sine(camera)).collect();
         radii.sort_by(f64::total_cmp);
+        // of the faces of panoramas one half looks away
+        let looks_there = radii.get(2 * radii.len() / 5).is_some_and(|&radius| radius > 0.0);
         match radii.get(radii.len() / 2) {
-            Some(&radius) if radius > 0.0 => Self::cube(focus, SLACK * radius.max(0.1 * extent)),
+            Some(&radius) if looks_there => Self::cube(focus, SLACK * radius.max(0.1 * extent)),
             _ => Self::cube(mean, extent),
         }
     }
@@ -107,6 +109,7 @@ mod tests {
     use dpges_core::camera::{CameraFromWorld, Distortion, Lens, Projection};
 
     use super::*;
+    use crate::dataset::Face;
     use crate::init::plane_sweep;
 
     fn camera(eye: DVec3, target: DVec3) -> Camera {
@@ -157,6 +160,10 @@ mod tests {
             around(DVec3::ZERO).iter().map(|inwards| camera(inwards.centre(), 2.0 * inwards.centre())).collect();
         let region = Region::in_sight(&outwards, 4.4);
         assert!((region.size().x - 8.8).abs() < 1e-9);
+        let pose = |camera: Camera| camera.camera_from_world;
+        let faces = |camera| Face::ALL.map(|face| face.camera(&pose(camera), 64, 0.01));
+        let panoramas: Vec<Camera> = around(DVec3::ZERO).into_iter().flat_map(faces).collect();
+        assert!((Region::in_sight(&panoramas, 4.4).size().x - 8.8).abs() < 1e-9);
     }
 
     #[test]

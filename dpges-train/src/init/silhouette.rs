@@ -140,7 +140,7 @@ mod tests {
                 }
             }
             let picture = Picture { alpha: Some(alpha), ..Picture::from_planes(&planes, 100, 100) };
-            View { name: i.to_string(), camera, photograph: picture.into(), depth: None }
+            View { name: i.to_string(), camera, photograph: picture.into(), depth: None, face: None }
         };
         (0..count).map(photo).collect()
     }

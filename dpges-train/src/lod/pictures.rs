@@ -46,7 +46,7 @@ impl Pictures {
                     camera = camera.resized(camera.width / 2, camera.height / 2);
                 }
                 let photograph = Picture::from_planes(&planes, camera.width, camera.height).into();
-                level.push(View { name: format!("view_{number:03}"), camera, photograph, depth: None });
+                level.push(View { name: format!("view_{number:03}"), camera, photograph, depth: None, face: None });
             }
         }
         Ok(Self { levels })

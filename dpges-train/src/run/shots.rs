@@ -10,8 +10,9 @@ use dpges_render::{CameraPath, Up};
 use super::scene::{Scene, SceneError};
 use super::view_choice::ViewChoice;
 use crate::dataset::camera_file::cameras;
-use crate::dataset::{DatasetError, Split};
+use crate::dataset::{DatasetError, Face, Split};
 use crate::eval::pictures::file_stems;
+use crate::eval::stitched::{self, PictureLens};
 
 /// Frames along a path, unless they are given.
 const FRAMES: usize = 120;
@@ -52,6 +53,8 @@ impl FromStr for PathChoice {
 pub enum ShotsError {
     #[error("{option}: {reason}")]
     Ignored { option: String, reason: &'static str },
+    #[error("--size {width}x{height}: a panorama is twice as wide as high, such as {}x{height}", 2 * height)]
+    Panorama { width: usize, height: usize },
     #[error(transparent)]
     Scene(#[from] SceneError),
     #[error(transparent)]
@@ -71,15 +74,16 @@ pub struct Shot {
 
 impl PathChoice {
     /// The pictures of `scene` along the path, in its coordinates: one for each of the views and of the cameras of a file, unless
-    /// `frames` along a path through these are asked for.
+    /// `frames` along a path through these are asked for. Of the views of a panorama one is taken where `lens` makes panoramas.
     ///
     /// # Errors
-    /// [`ShotsError::Ignored`] for options that make no difference; those of reading the dataset of `choice`, without which
+    /// [`ShotsError::Ignored`] for options that make no difference; [`ShotsError::Panorama`]; those of reading the dataset of `choice`, without which
     /// only orbits and files have cameras.
     pub fn shots(
         &self,
         frames: Option<usize>,
         size: Option<Size>,
+        lens: Option<PictureLens>,
         choice: &ViewChoice,
         scene: &mut Scene,
     ) -> Result<Vec<Shot>, ShotsError> {
@@ -100,7 +104,11 @@ impl PathChoice {
                 }
             }
             _ => match choice.load(scene) {
-                Ok((_, views)) => views.into_iter().map(|view| (view.name, view.camera)).collect(),
+                Ok((_, views)) if lens.is_none() => views.into_iter().map(|view| (view.name, view.camera)).collect(),
+                Ok((_, views)) => {
+                    let of_all = views.iter().filter(|view| view.face.is_none_or(|face| face == Face::Front));
+                    of_all.map(|view| (view.photograph_name(), view.camera)).collect()
+                }
                 Err(SceneError::NoDataset { .. }) if *self == Self::Orbit => {
                     choice.refuse_split()?;
                     Extent::ring(&scene.data).into_iter().map(|camera| (String::new(), camera)).collect()
@@ -128,7 +136,18 @@ impl PathChoice {
             None => numbered(named.into_iter()),
         };
         let stems = file_stems(named.iter().map(|(name, _)| &**name));
-        let sized = |camera: Camera| size.map_or(camera, |size| size.apply(&camera));
+        if let (Some(Size { width, height }), Some(_)) = (size, lens)
+            && width != 2 * height
+        {
+            return Err(ShotsError::Panorama { width, height });
+        }
+        let sized = |camera: Camera| match lens {
+            Some(PictureLens::Equirectangular) => {
+                let size = size.map_or_else(|| stitched::natural_size(&camera), |size| [size.width, size.height]);
+                stitched::camera(&camera, size)
+            }
+            None => size.map_or(camera, |size| size.apply(&camera)),
+        };
         let shots = named.into_iter().zip(stems);
         Ok(shots.map(|((name, camera), stem)| Shot { camera: sized(camera), stem, name }).collect())
     }
@@ -191,9 +210,13 @@ mod tests {
         };
         std::fs::write(&file, format!("[{}, {}]", camera(1, 499_995.0), camera(2, 499_996.0))).unwrap();
         let shots = |path: PathChoice, frames, choice: &ViewChoice| {
-            path.shots(frames, None, choice, &mut Scene::load(&scene).unwrap())
+            path.shots(frames, None, None, choice, &mut Scene::load(&scene).unwrap())
         };
         let plain = ViewChoice::default();
+        let panoramas = |size: Option<Size>| {
+            let lens = Some(PictureLens::Equirectangular);
+            PathChoice::File(file.clone()).shots(None, size, lens, &plain, &mut Scene::load(&scene).unwrap())
+        };
         let orbit = shots(PathChoice::Orbit, Some(5), &plain).unwrap();
         assert!(
             orbit.len() == 5 && orbit.iter().all(|shot| shot.camera.camera_from_world.rotation.row(0).z.abs() < 1e-2)
@@ -201,6 +224,13 @@ mod tests {
         let of_file = shots(PathChoice::File(file.clone()), None, &plain).unwrap();
         assert_eq!((of_file.len(), &*of_file[1].stem, &*of_file[1].name), (2, "a_b2", "a b2.jpg"));
         assert!((of_file[0].camera.centre() - glam::DVec3::new(-5.0, 0.0, 1.0)).length() < 1e-6);
+        for (size, expected) in [(None, [56, 28]), ("80x40".parse().ok(), [80, 40])] {
+            let camera = panoramas(size).unwrap()[0].camera;
+            assert_eq!([camera.width, camera.height], expected);
+            assert_eq!(camera.camera_from_world, of_file[0].camera.camera_from_world);
+        }
+        let refused = panoramas("80x50".parse().ok()).err().unwrap().to_string();
+        assert!(refused.contains("--size 80x50") && refused.contains("100x50"), "{refused}");
         assert_eq!(shots(PathChoice::File(file.clone()), Some(7), &plain).unwrap().len(), 7);
         let split = ViewChoice { split: Some(Split::Train), ..ViewChoice::default() };
         let ignored = shots(PathChoice::File(file), None, &split).err().unwrap().to_string();

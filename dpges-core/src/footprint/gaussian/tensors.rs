@@ -6,14 +6,17 @@ use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, ExtensionType};
 use burn::tensor::Tensor;
+use pulp::Simd;
 
-use super::cpu::{Parameters, Splat};
+use super::cpu::Parameters;
 use crate::backend::host::{self, Host};
+use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
+use crate::backend::vectors::MOST;
 use crate::error::Result;
-use crate::math::{CameraOf, V3, row};
+use crate::math::{V3, row};
+use crate::scene::Gaussians;
 use crate::scene::tensors::{check_shape, flat};
-use crate::scene::{Gaussians, ScreenFilter};
 
 /// Gaussians, or the gradients with respect to them.
 #[derive(ExtensionType, Debug, Clone)]
@@ -151,8 +154,22 @@ impl<'a, T: Real> GaussianRows<'a, T> {
         row(&self.colours, i)
     }
 
-    /// Footprint of Gaussian `i`; `None` if no pixel can see it.
-    pub fn splat(&self, camera: &CameraOf<T>, i: usize, filter: ScreenFilter) -> Option<Splat<T>> {
-        Splat::new(camera, &self.parameters(i), self.colour(i), filter)
+    /// Gaussian kernels at `rows`, one in each lane.
+    #[inline(always)]
+    pub fn parameters_in_lanes<S: Simd>(&self, simd: S, rows: &[usize; MOST]) -> Parameters<Lanes<T, S>> {
+        let [opacity] = Lanes::from_rows(simd, |lane| [self.opacities[rows[lane]]]);
+        Parameters {
+            position: Lanes::from_rows(simd, |lane| row(&self.positions, rows[lane])),
+            quaternion: Lanes::from_rows(simd, |lane| row(&self.quaternions, rows[lane])),
+            log_scales: Lanes::from_rows(simd, |lane| row(&self.log_scales, rows[lane])),
+            opacity,
+            degrees_of_freedom: Lanes::splat(simd, T::INFINITY),
+        }
+    }
+
+    /// Colours at `rows`, one in each lane.
+    #[inline(always)]
+    pub fn colours_in_lanes<S: Simd>(&self, simd: S, rows: &[usize; MOST]) -> V3<Lanes<T, S>> {
+        Lanes::from_rows(simd, |lane| row(&self.colours, rows[lane]))
     }
 }

@@ -1,12 +1,18 @@
-//! CPU kernels: one task per band of image rows.
+//! CPU kernels: one task per band of image rows, a vector of pixels at a time.
+
+use std::ops::Range;
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::{CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, CompositeState, Grads, Reached};
 use crate::backend::host::{self, Host, with_real};
+use crate::backend::lanes::Lanes;
+use crate::backend::number::Number;
 use crate::backend::real::Real;
+use crate::backend::simd::vectorised;
 use crate::backend::tape::WayBackFromAll;
 use crate::math::{V3, add, dot, row, scale};
 use crate::tiles::bands::{BAND_COUNT, Bands};
@@ -24,18 +30,19 @@ struct Inputs<'a, T: Real> {
     detach_transmittance: bool,
 }
 
-/// The parts of one pixel.
-struct Pixel<T> {
-    surfel_colour: V3<T>,
-    gaussian_colour: V3<T>,
-    gaussian_weight: T,
+/// The parts of pixels.
+struct Pixel<N> {
+    surfel_colour: V3<N>,
+    gaussian_colour: V3<N>,
+    gaussian_weight: N,
 }
 
-impl<T: Real> Pixel<T> {
+impl<N: Number> Pixel<N> {
     #[inline(always)]
-    fn image(&self) -> V3<T> {
+    fn image(&self) -> V3<N> {
         // the surfels' picture weighs 1 against the weights of the Gaussians (GES)
-        scale(add(self.surfel_colour, self.gaussian_colour), T::one() / (T::one() + self.gaussian_weight))
+        let one = self.gaussian_weight.constant(1.0);
+        scale(add(self.surfel_colour, self.gaussian_colour), one / (one + self.gaussian_weight))
     }
 }
 
@@ -65,36 +72,86 @@ impl<T: Real> Inputs<'_, T> {
         self.height * self.width
     }
 
-    /// Colour of layer k, black if there is none.
+    /// The `pixels`, as many as there are lanes or fewer, of a plane of `values` [P, H, W].
     #[inline(always)]
-    fn colour(&self, k: usize, pixel: usize) -> V3<T> {
-        usize::try_from(self.ids[k * self.plane() + pixel]).map_or([T::zero(); 3], |id| row(self.colours, id))
+    fn load<S: Simd>(&self, simd: S, values: &[T], plane: usize, pixels: &Range<usize>) -> Lanes<T, S> {
+        Lanes::load_some(simd, &values[plane * self.plane()..][pixels.clone()])
+    }
+
+    /// The surfels of layer k; below 0 where there is none.
+    #[inline(always)]
+    fn ids(&self, k: usize, pixels: &Range<usize>) -> &[i32] {
+        &self.ids[k * self.plane()..][pixels.clone()]
+    }
+
+    /// Colours of surfels, black where there is none.
+    #[inline(always)]
+    fn colours<S: Simd>(&self, simd: S, ids: &[i32]) -> V3<Lanes<T, S>> {
+        Lanes::from_rows(simd, |lane| {
+            let id = ids.get(lane).and_then(|&id| usize::try_from(id).ok());
+            id.map_or([T::zero(); 3], |id| row(self.colours, id))
+        })
     }
 
     /// X and Y of interval k.
     #[inline(always)]
-    fn sums(&self, k: usize, pixel: usize) -> (V3<T>, T) {
-        let sum = |c: usize| self.sums[(4 * k + c) * self.plane() + pixel];
+    fn sums<S: Simd>(&self, simd: S, k: usize, pixels: &Range<usize>) -> (V3<Lanes<T, S>>, Lanes<T, S>) {
+        let sum = {
+            #[inline(always)]
+            |c: usize| self.load(simd, self.sums, 4 * k + c, pixels)
+        };
         ([sum(0), sum(1), sum(2)], sum(3))
     }
 
     #[inline(always)]
-    fn pixel(&self, pixel: usize) -> Pixel<T> {
-        let plane = self.plane();
-        let open = self.transmittance[self.layers * plane + pixel];
+    fn pixel<S: Simd>(&self, simd: S, pixels: &Range<usize>) -> Pixel<Lanes<T, S>> {
+        let open = self.load(simd, self.transmittance, self.layers, pixels);
         let mut parts = Pixel {
-            surfel_colour: scale(self.background, open),
-            gaussian_colour: [T::zero(); 3],
-            gaussian_weight: T::zero(),
+            surfel_colour: scale(Lanes::splat_three(simd, self.background), open),
+            gaussian_colour: [Lanes::zero(simd); 3],
+            gaussian_weight: Lanes::zero(simd),
         };
         for k in 0..self.layers {
-            let at = k * plane + pixel;
-            let (through, (payload, weight)) = (self.transmittance[at], self.sums(k, pixel));
-            parts.surfel_colour = add(parts.surfel_colour, scale(self.colour(k, pixel), self.weights[at]));
+            let (payload, weight) = self.sums(simd, k, pixels);
+            let through = self.load(simd, self.transmittance, k, pixels);
+            let ids = self.ids(k, pixels);
+            if ids.iter().any(|&id| id >= 0) {
+                let colour = scale(self.colours(simd, ids), self.load(simd, self.weights, k, pixels));
+                parts.surfel_colour = add(parts.surfel_colour, colour);
+            }
             parts.gaussian_colour = add(parts.gaussian_colour, scale(payload, through));
-            parts.gaussian_weight = parts.gaussian_weight + through * weight;
+            parts.gaussian_weight = through.mul_add(weight, parts.gaussian_weight);
         }
         parts
+    }
+}
+
+/// Writes the images of a band.
+struct Forward<'a, 'b, T: Real> {
+    inputs: &'a Inputs<'a, T>,
+    pixels: Range<usize>,
+    out: [Vec<&'b mut [T]>; 4],
+}
+
+impl<T: Real> WithSimd for Forward<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { inputs, pixels: band, out: [mut image, mut surfels, mut colour, mut weight] } = self;
+        let count = T::lane_count::<S>();
+        for start in band.clone().step_by(count) {
+            let pixels = start..band.end.min(start + count);
+            let local = start - band.start..pixels.end - band.start;
+            let pixel = inputs.pixel(simd, &pixels);
+            let blended = pixel.image();
+            for c in 0..3 {
+                blended[c].store_some(&mut image[c][local.clone()]);
+                pixel.surfel_colour[c].store_some(&mut surfels[c][local.clone()]);
+                pixel.gaussian_colour[c].store_some(&mut colour[c][local.clone()]);
+            }
+            pixel.gaussian_weight.store_some(&mut weight[0][local]);
+        }
     }
 }
 
@@ -105,26 +162,17 @@ fn forward<T: Real>(inputs: &Inputs<T>) -> [Vec<T>; 4] {
     let mut parts = out.each_mut().map(|image| bands.split(image, inputs.width).into_iter());
     let tasks: Vec<_> =
         (0..BAND_COUNT).map(|_| parts.each_mut().map(|p| p.next().expect("one part per band"))).collect();
-    tasks.into_par_iter().enumerate().for_each(|(band, [mut image, mut surfels, mut colour, mut weight])| {
-        for (local, at) in bands.pixels(band, inputs.width).enumerate() {
-            let pixel = inputs.pixel(at);
-            let blended = pixel.image();
-            for c in 0..3 {
-                image[c][local] = blended[c];
-                surfels[c][local] = pixel.surfel_colour[c];
-                colour[c][local] = pixel.gaussian_colour[c];
-            }
-            weight[0][local] = pixel.gaussian_weight;
-        }
+    tasks.into_par_iter().enumerate().for_each(|(band, out)| {
+        vectorised(Forward { inputs, pixels: bands.pixels(band, inputs.width), out });
     });
     out
 }
 
-/// Gradients with respect to a pixel's surfel colour, Gaussian colour and Gaussian weight.
-struct Incoming<T> {
-    surfel: V3<T>,
-    gaussian: V3<T>,
-    weight: T,
+/// Gradients with respect to the surfel colour, Gaussian colour and Gaussian weight of pixels.
+struct Incoming<N> {
+    surfel: V3<N>,
+    gaussian: V3<N>,
+    weight: N,
 }
 
 /// [`super::Grads`] as slices, with the values that those of the image need.
@@ -136,15 +184,24 @@ struct Outputs<'a, T> {
 
 impl<T: Real> Outputs<'_, T> {
     #[inline(always)]
-    fn incoming(&self, at: usize) -> Incoming<T> {
-        let plane = self.gaussian_weight.len();
-        let rgb = |values: &[T]| -> V3<T> { std::array::from_fn(|c| values[c * plane + at]) };
-        let zero = [T::zero(); 3];
+    fn incoming<S: Simd>(&self, simd: S, inputs: &Inputs<T>, pixels: &Range<usize>) -> Incoming<Lanes<T, S>> {
+        let rgb = {
+            #[inline(always)]
+            |values: &[T]| -> V3<Lanes<T, S>> {
+                [
+                    inputs.load(simd, values, 0, pixels),
+                    inputs.load(simd, values, 1, pixels),
+                    inputs.load(simd, values, 2, pixels),
+                ]
+            }
+        };
+        let (zero, one) = (Lanes::zero(simd), Lanes::splat(simd, T::one()));
         let [of_image, of_surfel_image, of_colour, of_weight] = self.grads;
-        let mut out = Incoming { surfel: zero, gaussian: zero, weight: T::zero() };
+        let mut out = Incoming { surfel: [zero; 3], gaussian: [zero; 3], weight: zero };
         // outputs that no loss looks at have no gradient, and are left out
         if let Some(grad) = of_image {
-            let blended = scale(rgb(grad), T::one() / (T::one() + self.gaussian_weight[at]));
+            let weight = inputs.load(simd, self.gaussian_weight, 0, pixels);
+            let blended = scale(rgb(grad), one / (one + weight));
             // ∂C / ∂W = −C / (1 + W): the picture itself is in it, so that no sum is divided twice
             (out.surfel, out.gaussian, out.weight) = (blended, blended, -dot(blended, rgb(self.image)));
         }
@@ -155,9 +212,67 @@ impl<T: Real> Outputs<'_, T> {
             out.gaussian = add(out.gaussian, rgb(grad));
         }
         if let Some(grad) = of_weight {
-            out.weight = out.weight + grad[at];
+            out.weight = out.weight + inputs.load(simd, grad, 0, pixels);
         }
         out
+    }
+}
+
+/// Writes the gradients of a band. Those with respect to colours are sums over its pixels.
+struct Backward<'a, 'b, T: Real> {
+    inputs: &'a Inputs<'a, T>,
+    outputs: &'a Outputs<'a, T>,
+    reached: Reached,
+    pixels: Range<usize>,
+    weights: Vec<&'b mut [T]>,
+    through: Vec<&'b mut [T]>,
+    sums: Vec<&'b mut [T]>,
+    colours: &'b mut [T],
+}
+
+impl<T: Real> WithSimd for Backward<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { inputs, outputs, reached, pixels: band, mut weights, mut through, mut sums, colours } = self;
+        let (layers, count) = (inputs.layers, T::lane_count::<S>());
+        let background = Lanes::splat_three(simd, inputs.background);
+        for start in band.clone().step_by(count) {
+            let pixels = start..band.end.min(start + count);
+            let local = start - band.start..pixels.end - band.start;
+            let incoming = outputs.incoming(simd, inputs, &pixels);
+            // only the background is seen through the last layer
+            dot(incoming.surfel, background).store_some(&mut through[layers][local.clone()]);
+            for k in 0..layers {
+                if reached.sums() {
+                    let through_k = inputs.load(simd, inputs.transmittance, k, &pixels);
+                    for c in 0..3 {
+                        (through_k * incoming.gaussian[c]).store_some(&mut sums[4 * k + c][local.clone()]);
+                    }
+                    (through_k * incoming.weight).store_some(&mut sums[4 * k + 3][local.clone()]);
+                    // an ablation: Gaussians then teach the surfels before them nothing
+                    if !inputs.detach_transmittance {
+                        let (payload, weight) = inputs.sums(simd, k, &pixels);
+                        let of_through = incoming.weight.mul_add(weight, dot(incoming.gaussian, payload));
+                        of_through.store_some(&mut through[k][local.clone()]);
+                    }
+                }
+                // a missing layer still lets Gaussians through, whose gradients are above this line
+                let ids = inputs.ids(k, &pixels);
+                if !reached.surfels() || ids.iter().all(|&id| id < 0) {
+                    continue;
+                }
+                dot(incoming.surfel, inputs.colours(simd, ids)).store_some(&mut weights[k][local.clone()]);
+                let grads = Lanes::to_rows(scale(incoming.surfel, inputs.load(simd, inputs.weights, k, &pixels)));
+                for (&id, grad) in ids.iter().zip(grads) {
+                    let Ok(id) = usize::try_from(id) else { continue };
+                    for (sum, grad) in colours[3 * id..3 * id + 3].iter_mut().zip(grad) {
+                        *sum = *sum + grad;
+                    }
+                }
+            }
+        }
     }
 }
 
@@ -174,38 +289,11 @@ fn backward<T: Real>(inputs: &Inputs<T>, outputs: &Outputs<T>, reached: Reached)
         .zip(of_through)
         .zip(of_sums)
         .enumerate()
-        .map(|(band, ((mut weights, mut through), mut sums))| {
+        .map(|(band, ((weights, through), sums))| {
             // each band has sums of its own, added in the order of the bands: the same bits with any number of threads
             let mut colours = vec![T::zero(); colour_len];
-            for (local, pixel) in bands.pixels(band, inputs.width).enumerate() {
-                let incoming = outputs.incoming(pixel);
-                // only the background is seen through the last layer
-                through[layers][local] = dot(incoming.surfel, inputs.background);
-                for k in 0..layers {
-                    let at = k * plane + pixel;
-                    if reached.sums() {
-                        let through_k = inputs.transmittance[at];
-                        for c in 0..3 {
-                            sums[4 * k + c][local] = through_k * incoming.gaussian[c];
-                        }
-                        sums[4 * k + 3][local] = through_k * incoming.weight;
-                        // an ablation: Gaussians then teach the surfels before them nothing
-                        if !inputs.detach_transmittance {
-                            let (payload, weight) = inputs.sums(k, pixel);
-                            through[k][local] = dot(incoming.gaussian, payload) + incoming.weight * weight;
-                        }
-                    }
-                    // a missing layer still lets Gaussians through, whose gradients are above this line
-                    let Ok(id) = usize::try_from(inputs.ids[at]) else { continue };
-                    if reached.surfels() {
-                        weights[k][local] = dot(incoming.surfel, row(inputs.colours, id));
-                        for c in 0..3 {
-                            let sum = &mut colours[3 * id + c];
-                            *sum = *sum + inputs.weights[at] * incoming.surfel[c];
-                        }
-                    }
-                }
-            }
+            let (pixels, of_colours) = (bands.pixels(band, inputs.width), &mut colours);
+            vectorised(Backward { inputs, outputs, reached, pixels, weights, through, sums, colours: of_colours });
             colours
         })
         .collect();

@@ -12,6 +12,7 @@ use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
 use crate::backend::tape::WayBack;
+use crate::backend::vectors::MOST;
 
 pub const WINDOW: usize = 11;
 pub const RADIUS: usize = WINDOW / 2;
@@ -55,11 +56,7 @@ impl<T: Real> Rows<T> {
                     || {
                         fill(line, padded);
                         for (out, padded) in out.chunks_exact_mut(width).zip(padded.iter()) {
-                            for (t, &tap) in taps.iter().enumerate() {
-                                for (out, &value) in out.iter_mut().zip(&padded[t..t + width]) {
-                                    *out = *out + tap * value;
-                                }
-                            }
+                            window(&taps, |t| &padded[t..t + width], out);
                         }
                     },
                 );
@@ -73,16 +70,29 @@ impl<T: Real> Rows<T> {
     fn vertical(&self, line: usize, taps: &[T; WINDOW], out: &mut [T]) {
         let stride = out.len();
         let y = line % self.height;
-        out.fill(T::zero());
         // rows beyond the image are 0, and left out
         let first = RADIUS.saturating_sub(y);
         let last = WINDOW.min(self.height - y + RADIUS);
-        for (t, &tap) in taps.iter().enumerate().take(last).skip(first) {
-            let source = &self.values[(line + t - RADIUS) * stride..][..stride];
-            for (out, &value) in out.iter_mut().zip(source) {
-                *out = *out + tap * value;
+        window(&taps[first..last], |t| &self.values[(line + first + t - RADIUS) * stride..][..stride], out);
+    }
+}
+
+/// Σ tap t × source(t), by blocks whose sums stay in registers.
+#[inline(always)]
+fn window<'a, T: Real>(taps: &[T], source: impl Fn(usize) -> &'a [T], out: &mut [T]) {
+    let (blocks, rest) = out.as_chunks_mut::<MOST>();
+    let after = blocks.len() * MOST;
+    for (block, out) in blocks.iter_mut().enumerate() {
+        let mut sums = [T::zero(); MOST];
+        for (t, &tap) in taps.iter().enumerate() {
+            for (sum, &value) in sums.iter_mut().zip(&source(t)[block * MOST..][..MOST]) {
+                *sum = *sum + tap * value;
             }
         }
+        *out = sums;
+    }
+    for (x, out) in rest.iter_mut().enumerate() {
+        *out = taps.iter().enumerate().fold(T::zero(), |sum, (t, &tap)| sum + tap * source(t)[after + x]);
     }
 }
 

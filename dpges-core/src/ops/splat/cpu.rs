@@ -16,6 +16,7 @@ use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
 use crate::backend::tape::WayBack;
+use crate::backend::vectors::MOST;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu as splat;
 use crate::footprint::gaussian::cpu::in_view::{InView, UNSEEN};
@@ -216,17 +217,18 @@ struct Reached<'a, T> {
 }
 
 impl<T: Real> Reached<'_, T> {
-    /// Calls `visit(tile, start, limits, at)` for the pixels from `start` on of every tile in which the Gaussian can add to
-    /// some pixel.
+    /// Calls `visit(tile, start, limits, intervals, at)` for the pixels from `start` on of every tile in which the Gaussian can
+    /// add to some pixel, in these intervals.
     #[inline(always)]
-    fn for_each<S: Simd>(&self, simd: S, mut visit: impl FnMut(usize, usize, &TileLimits<T>, At<T, S>)) {
+    fn for_each<S: Simd>(&self, simd: S, mut visit: impl FnMut(usize, usize, &TileLimits<T>, &Range<usize>, At<T, S>)) {
         let footprint = SplatLanes::new(simd, self.splat);
         let [tx0, tx1, ty0, ty1] = self.rect.tiles();
         for ty in ty0..ty1 {
             for tx in tx0..tx1 {
                 let tile = ty * self.grid.columns + tx;
                 let limits = self.limits.tile(tile);
-                if !self.splat.touches(tx, ty) || limits.intervals(self.splat.depth).is_empty() {
+                let intervals = limits.intervals(self.splat.depth);
+                if intervals.is_empty() || !self.splat.touches(tx, ty) {
                     continue;
                 }
                 for_each_lanes(
@@ -237,7 +239,7 @@ impl<T: Real> Reached<'_, T> {
                     #[inline(always)]
                     |start, dx, dy| {
                         if let Some(at) = footprint.at(dx, dy) {
-                            visit(tile, start, &limits, at);
+                            visit(tile, start, &limits, &intervals, at);
                         }
                     },
                 );
@@ -279,10 +281,9 @@ impl<T: Real> Gather<'_, T> {
         Reached { splat, rect: &self.seen.rects[i], grid: self.grid, limits: self.limits }.for_each(
             simd,
             #[inline(always)]
-            |tile, start, limits, At { u, v, weight }| {
+            |tile, start, limits, intervals, At { u, v, weight }| {
                 let grad = &self.grad[tile * block..][..block];
-                let intervals = limits.intervals(splat.depth);
-                let [red, green, blue, alpha] = read_gradients(grad, limits, &intervals, depth, start);
+                let [red, green, blue, alpha] = read_gradients(grad, limits, intervals, depth, start);
                 // the weight multiplies (c, 1) in the four sums, so that its gradient is (c, 1) times theirs
                 let payload = colour[0].mul_add(red, colour[1].mul_add(green, colour[2].mul_add(blue, alpha)));
                 for (sum, grad) in colours.iter_mut().zip([red, green, blue]) {
@@ -319,6 +320,52 @@ fn read_gradients<T: Real, S: Simd>(
         },
     );
     pixel
+}
+
+/// Turns the sums over pixels of the first `count` of `rows`, all of one chunk, into the gradients of its positions,
+/// quaternions, log-scales and opacities.
+struct Backward<'a, T: Real> {
+    gaussians: &'a GaussianRows<'a, T>,
+    camera: &'a CameraOf<T>,
+    filter: ScreenFilter,
+    seen: &'a InView<T>,
+    sums: &'a [SplatGrad<T>],
+    /// By row.
+    places: &'a [u32],
+    rows: &'a [usize],
+    count: usize,
+    parts: [&'a mut [T]; 4],
+}
+
+impl<T: Real> WithSimd for Backward<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { gaussians, filter, seen, sums, places, rows, count, parts, .. } = self;
+        let [positions, quaternions, log_scales, opacities] = parts;
+        let camera = self.camera.in_lanes(simd);
+        for first in (0..count).step_by(T::lane_count::<S>()) {
+            let rows: &[usize; MOST] = rows[first..].first_chunk().expect("rows are padded");
+            let place = |lane: usize| places[rows[lane]] as usize;
+            let parameters = gaussians.parameters_in_lanes(simd, rows);
+            let splat = Splat::together(simd, |lane| &seen.splats[place(lane)]);
+            let moments = Lanes::from_rows(simd, |lane| sums[place(lane)].moments);
+            let sum = SplatGrad { moments, colour: [Lanes::zero(simd); 3] };
+            let grads = splat::backward(&camera, &parameters, &splat, &sum, filter);
+            let position = Lanes::to_rows(grads.position);
+            let quaternion = Lanes::to_rows(grads.quaternion);
+            let log_scale = Lanes::to_rows(grads.log_scales);
+            let opacity = Lanes::to_rows([grads.opacity]);
+            for lane in 0..T::lane_count::<S>().min(count - first) {
+                let j = rows[lane] % CHUNK;
+                positions[3 * j..3 * j + 3].copy_from_slice(&position[lane]);
+                quaternions[4 * j..4 * j + 4].copy_from_slice(&quaternion[lane]);
+                log_scales[3 * j..3 * j + 3].copy_from_slice(&log_scale[lane]);
+                [opacities[j]] = opacity[lane];
+            }
+        }
+    }
 }
 
 /// Gradients with respect to positions, quaternions, log-scales, opacities, colours and the probe, the last empty unless it
@@ -359,30 +406,33 @@ fn backward<T: Real>(
         .zip(probes)
         .enumerate()
         .for_each(|(chunk, (((((positions, quaternions), log_scales), opacities), colours), probes))| {
-            vectorised(
-                #[inline(always)]
-                || {
-                    for j in 0..opacities.len() {
-                        let i = chunk * CHUNK + j;
-                        // out of view nothing has a gradient, and all are 0 so far
-                        if places[i] == UNSEEN {
-                            continue;
-                        }
-                        let place = places[i] as usize;
-                        let (splat, sum) = (&seen.splats[place], &sums[place]);
-                        let grads = splat::backward(&camera, &gaussians.parameters(i), splat, sum, filter);
-                        positions[3 * j..3 * j + 3].copy_from_slice(&grads.position);
-                        quaternions[4 * j..4 * j + 4].copy_from_slice(&grads.quaternion);
-                        log_scales[3 * j..3 * j + 3].copy_from_slice(&grads.log_scales);
-                        opacities[j] = grads.opacity;
-                        colours[3 * j..3 * j + 3].copy_from_slice(&sum.colour);
-                        if probed {
-                            let [x, y] = splat.mean_gradient(sum);
-                            probes[2 * j..2 * j + 2].copy_from_slice(&[x * half_image[0], y * half_image[1]]);
-                        }
-                    }
-                },
-            );
+            let first = chunk * CHUNK;
+            // out of view nothing has a gradient, and all are 0 so far
+            let mut rows: Vec<usize> = (first..first + opacities.len()).filter(|&row| places[row] != UNSEEN).collect();
+            let count = rows.len();
+            // the last row again in lanes that are left over
+            rows.extend(std::iter::repeat_n(rows.last().copied().unwrap_or(0), MOST));
+            let parts = [positions, quaternions, log_scales, opacities];
+            vectorised(Backward {
+                gaussians,
+                camera: &camera,
+                filter,
+                seen: &seen,
+                sums: &sums,
+                places: &places,
+                rows: &rows,
+                count,
+                parts,
+            });
+            for &row in &rows[..count] {
+                let (place, j) = (places[row] as usize, row - first);
+                let (splat, sum) = (&seen.splats[place], &sums[place]);
+                colours[3 * j..3 * j + 3].copy_from_slice(&sum.colour);
+                if probed {
+                    let [x, y] = splat.mean_gradient(sum);
+                    probes[2 * j..2 * j + 2].copy_from_slice(&[x * half_image[0], y * half_image[1]]);
+                }
+            }
         });
     out
 }
@@ -407,10 +457,10 @@ impl<T: Real> WithSimd for Largest<'_, T> {
         Reached { splat, rect, grid: self.grid, limits: self.limits }.for_each(
             simd,
             #[inline(always)]
-            |tile, start, limits, At { weight, .. }| {
+            |tile, start, limits, intervals, At { weight, .. }| {
                 let gates = &self.gates[tile * block..][..block];
                 limits.for_each_share(
-                    &limits.intervals(splat.depth),
+                    intervals,
                     start,
                     depth,
                     #[inline(always)]

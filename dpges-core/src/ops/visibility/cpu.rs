@@ -1,13 +1,19 @@
-//! CPU kernels: one task per band of image rows.
+//! CPU kernels: one task per band of image rows, a vector of pixels at a time.
+
+use std::ops::Range;
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::autodiff::Grads;
 use super::{VisibilityInput, VisibilityOps, VisibilityOutput, VisibilityState};
 use crate::backend::host::{self, Host, with_real};
+use crate::backend::lanes::Lanes;
+use crate::backend::number::Number;
 use crate::backend::real::Real;
+use crate::backend::simd::vectorised;
 use crate::backend::tape::WayBackFromAll;
 use crate::ops::peel::MAX_LAYERS;
 use crate::scene::Peeling;
@@ -25,14 +31,17 @@ struct Inputs<'a, T: Real> {
     peeling: Peeling,
 }
 
-/// The layers of a pixel: the first `count` of every array.
-struct Stack<T> {
-    count: usize,
-    alpha: [T; MAX_LAYERS],
-    depth: [T; MAX_LAYERS],
-    margin: [T; MAX_LAYERS],
-    /// T_0 to T_count.
-    through: [T; MAX_LAYERS + 1],
+/// The layers of as many pixels as there are lanes. Those that are missing have opacity, depth and margin 0.
+struct Stack<N> {
+    /// Layers of the pixel that has most.
+    deepest: usize,
+    /// Of each pixel.
+    count: N,
+    alpha: [N; MAX_LAYERS],
+    depth: [N; MAX_LAYERS],
+    margin: [N; MAX_LAYERS],
+    /// T_0 to T_deepest.
+    through: [N; MAX_LAYERS + 1],
 }
 
 impl<T: Real> Inputs<'_, T> {
@@ -52,142 +61,199 @@ impl<T: Real> Inputs<'_, T> {
     }
 
     #[inline(always)]
-    fn stack(&self, pixel: usize) -> Stack<T> {
-        let (zero, one) = (T::zero(), T::one());
+    fn stack<S: Simd>(&self, simd: S, pixels: &Range<usize>) -> Stack<Lanes<T, S>> {
+        let (zero, one) = (Lanes::zero(simd), Lanes::splat(simd, T::one()));
         let mut stack = Stack {
-            count: 0,
+            deepest: 0,
+            count: zero,
             alpha: [zero; MAX_LAYERS],
             depth: [zero; MAX_LAYERS],
             margin: [zero; MAX_LAYERS],
             through: [one; MAX_LAYERS + 1],
         };
         for k in 0..self.layers {
-            let at = k * self.height * self.width + pixel;
-            let Ok(id) = usize::try_from(self.ids[at]) else { break };
-            (stack.alpha[k], stack.depth[k], stack.margin[k]) = (self.alpha[at], self.depth[at], self.margins[id]);
-            stack.through[k + 1] = stack.through[k] * (one - self.alpha[at]);
-            stack.count = k + 1;
+            let at = k * self.height * self.width;
+            let at = at + pixels.start..at + pixels.end;
+            let ids = &self.ids[at.clone()];
+            // what lies behind the last layer of all these pixels is not looked at
+            if ids.iter().all(|&id| id < 0) {
+                break;
+            }
+            let [margin, present] = Lanes::from_rows(simd, |lane| {
+                let id = ids.get(lane).and_then(|&id| usize::try_from(id).ok());
+                id.map_or([T::zero(); 2], |id| [self.margins[id], T::one()])
+            });
+            let is_present = zero.below(present);
+            stack.alpha[k] = Lanes::load_some(simd, &self.alpha[at.clone()]).only(is_present);
+            // not infinite, as that of a missing layer is: differences of two of them would not be numbers
+            stack.depth[k] = Lanes::load_some(simd, &self.depth[at]).only(is_present);
+            stack.margin[k] = margin;
+            stack.through[k + 1] = stack.through[k] * (one - stack.alpha[k]);
+            stack.count = stack.count + present;
+            stack.deepest = k + 1;
         }
         stack
     }
 }
 
-impl<T: Real> Stack<T> {
+impl<N: Number> Stack<N> {
+    /// Where layer k is there.
+    #[inline(always)]
+    fn has(&self, k: usize) -> N::Mask {
+        self.count.constant(k as f64).below(self.count)
+    }
+
     /// Share of layer i that is behind layer j, and its derivative with respect to the depth of i; that to the depth of j is the
     /// opposite.
     #[inline(always)]
-    fn behind(&self, i: usize, j: usize) -> [T; 2] {
-        let (zero, one, half) = (T::zero(), T::one(), T::of(0.5));
-        let reach = T::of(ORDER) * self.margin[i].min(self.margin[j]);
+    fn behind(&self, i: usize, j: usize) -> [N; 2] {
+        let (distance, is_close, reach) = self.distance(i, j);
+        let half = reach.constant(0.5);
+        // a margin of 0 leaves the order of the list
+        let slope = N::select(is_close, half / reach, reach.constant(0.0));
+        let order = reach.constant(if i > j { 1.0 } else { 0.0 });
+        [N::select(is_close, half + distance * slope, order), slope]
+    }
+
+    /// From layer j to layer i, whether that is within reach, and the reach.
+    #[inline(always)]
+    fn distance(&self, i: usize, j: usize) -> (N, N::Mask, N) {
+        let reach = self.count.constant(ORDER) * self.margin[i].min(self.margin[j]);
         let distance = self.depth[i] - self.depth[j];
-        // not divided before it is known to be within reach: a margin of 0 leaves the order of the list
-        if distance.abs() < reach {
-            let slope = half / reach;
-            [half + distance * slope, slope]
-        } else {
-            [if i > j { one } else { zero }, zero]
-        }
+        (distance, distance.abs().below(reach), reach)
     }
 
     /// `Π (1 − A_j s_ij)` over all j but i and `skipped`.
     #[inline(always)]
-    fn left(&self, i: usize, skipped: usize) -> T {
-        // products of the others, in place of a division by 1 − A, which is 0 for a core
-        let others = (0..self.count).filter(|&j| j != i && j != skipped);
-        others.fold(T::one(), |left, j| left * (T::one() - self.alpha[j] * self.behind(i, j)[0]))
+    fn left(&self, i: usize, skipped: usize) -> N {
+        let one = self.count.constant(1.0);
+        let mut left = one;
+        for j in (0..self.deepest).filter(|&j| j != i && j != skipped) {
+            // products of the others, in place of a division by 1 − A, which is 0 for a core
+            left = left * (one - self.alpha[j] * self.behind(i, j)[0]);
+        }
+        left
     }
 
     /// Weights before they are scaled, their sum, and the factor.
     #[inline(always)]
-    fn unscaled(&self) -> ([T; MAX_LAYERS], T, T) {
-        let mut weights = [T::zero(); MAX_LAYERS];
-        for (i, weight) in weights[..self.count].iter_mut().enumerate() {
+    fn unscaled(&self) -> ([N; MAX_LAYERS], N, N) {
+        let (zero, one) = (self.count.constant(0.0), self.count.constant(1.0));
+        let (mut weights, mut total) = ([zero; MAX_LAYERS], zero);
+        for (i, weight) in weights[..self.deepest].iter_mut().enumerate() {
             *weight = self.alpha[i] * self.left(i, i);
+            total = total + *weight;
         }
-        let total = weights[..self.count].iter().fold(T::zero(), |sum, &weight| sum + weight);
         // the products of three and more close layers do not add up to what these hide
-        let hidden = T::one() - self.through[self.count];
-        (weights, total, if total > T::zero() { hidden / total } else { T::zero() })
+        let hidden = one - self.through[self.deepest];
+        (weights, total, N::select(zero.below(total), hidden / total, zero))
     }
 
-    /// Whether any two layers are closer than their order is certain. Elsewhere, as in most pixels, they weigh as in strict order.
+    /// Where any two layers are closer than their order is certain. Elsewhere, as in most pixels, they weigh as in strict order.
     #[inline(always)]
-    fn is_soft(&self, peeling: Peeling) -> bool {
-        let mut others = 1..self.count;
-        peeling.is_continuous() && others.any(|i| (0..i).any(|j| self.behind(i, j)[1] > T::zero()))
+    fn is_soft(&self, peeling: Peeling) -> N::Mask {
+        let mut is_soft = self.count.below(self.count);
+        if peeling.is_continuous() {
+            for i in 1..self.deepest {
+                for j in 0..i {
+                    is_soft = is_soft | self.distance(i, j).1;
+                }
+            }
+        }
+        is_soft
     }
 
     /// The weights of the layers in the surfel image.
     #[inline(always)]
-    fn weights(&self, peeling: Peeling) -> [T; MAX_LAYERS] {
-        if !self.is_soft(peeling) {
-            return std::array::from_fn(|k| self.alpha[k] * self.through[k]);
+    fn weights(&self, peeling: Peeling) -> [N; MAX_LAYERS] {
+        let mut strict = self.alpha;
+        for (weight, &through) in strict[..self.deepest].iter_mut().zip(&self.through) {
+            *weight = *weight * through;
         }
-        let (weights, _, factor) = self.unscaled();
-        weights.map(|weight| weight * factor)
+        let is_soft = self.is_soft(peeling);
+        if N::any(is_soft) {
+            let (weights, _, factor) = self.unscaled();
+            for (own, &weight) in strict[..self.deepest].iter_mut().zip(&weights) {
+                *own = N::select(is_soft, weight * factor, *own);
+            }
+        }
+        strict
     }
 
     /// The limits of the layers, and the slope.
     #[inline(always)]
-    fn limits(&self, weights: &[T; MAX_LAYERS], peeling: Peeling, layers: usize) -> ([T; MAX_LAYERS], T) {
-        let mut limits = [T::INFINITY; MAX_LAYERS];
-        let core = (0..self.count).find(|&k| self.alpha[k] >= T::one());
+    fn limits(&self, weights: &[N; MAX_LAYERS], peeling: Peeling, layers: usize) -> ([N; MAX_LAYERS], N) {
+        let all = |value: f64| self.count.constant(value);
+        let (zero, one, infinity) = (all(0.0), all(1.0), all(f64::INFINITY));
+        let mut limits = [infinity; MAX_LAYERS];
+        let mut is_closed = one.below(zero);
         if peeling.is_continuous() {
-            let sum = |of: &dyn Fn(usize) -> T| (0..self.count).fold(T::zero(), |sum, k| sum + of(k));
-            let total = sum(&|k| weights[k]);
-            // one margin for the pixel: layers that change places end their intervals at one depth
-            let margin = if total > T::zero() { sum(&|k| weights[k] * self.margin[k]) / total } else { T::zero() };
-            let end = |k: usize| self.depth[k] + margin * T::of(1.0 + 0.5 * RAMP);
-            // nothing is seen behind a core
-            for (k, limit) in limits[..self.count].iter_mut().enumerate() {
-                *limit = end(core.map_or(k, |core| core.min(k)));
+            let (mut total, mut margin) = (zero, zero);
+            for (&weight, &own) in weights[..self.deepest].iter().zip(&self.margin) {
+                (total, margin) = (total + weight, margin + weight * own);
             }
-            if let Some(core) = core {
-                limits[core..layers].fill(end(core));
+            // one margin for the pixel: layers that change places end their intervals at one depth
+            let margin = N::select(zero.below(total), margin / total, zero);
+            let mut last = infinity;
+            for (k, limit) in limits[..layers].iter_mut().enumerate() {
+                let end = N::select(self.has(k), self.depth[k] + margin * all(1.0 + 0.5 * RAMP), infinity);
+                // nothing is seen behind a core
+                last = N::select(is_closed, last, end);
+                is_closed = is_closed | self.alpha[k].at_least(one);
+                *limit = last;
             }
             // a margin of 0 has a step, whose slope is finite
-            return (limits, T::one() / (T::of(RAMP) * margin).max(T::of(1.0 / STEP)));
+            return (limits, one / (all(RAMP) * margin).max(all(1.0 / STEP)));
         }
-        let shifted = |k: usize| self.depth[k] + self.margin[k];
-        let is_closed = core.is_some() || self.count == layers;
-        let cap = if is_closed { shifted(self.count - 1) } else { T::INFINITY };
-        let mut reached = -T::INFINITY;
+        is_closed = self.count.at_least(all(layers as f64));
+        let (mut shifted, mut cap) = ([infinity; MAX_LAYERS], infinity);
+        for (k, shifted) in shifted[..self.deepest].iter_mut().enumerate() {
+            *shifted = N::select(self.has(k), self.depth[k] + self.margin[k], infinity);
+            cap = N::select(self.has(k), *shifted, cap);
+            is_closed = is_closed | self.alpha[k].at_least(one);
+        }
+        let cap = N::select(is_closed, cap, infinity);
+        let mut reached = -infinity;
         for (k, limit) in limits[..layers].iter_mut().enumerate() {
             let end = match peeling {
-                _ if k >= self.count => T::INFINITY,
                 // only the cap ends the last interval
-                Peeling::Literal if k + 1 == layers => T::INFINITY,
-                Peeling::Literal => self.depth[k],
-                _ => shifted(k),
+                Peeling::Literal if k + 1 == layers => infinity,
+                Peeling::Literal => N::select(self.has(k), self.depth[k], infinity),
+                _ => shifted[k],
             };
             // limits ascend, or an interval would be shorter than nothing
             reached = reached.max(end);
             *limit = reached.min(cap);
         }
-        (limits, T::of(STEP))
+        (limits, all(STEP))
     }
 
-    /// Gradients with respect to opacities and depths, from those with respect to weights and transmittances.
+    /// Gradients with respect to opacities and depths, from those with respect to weights and to T_0 to T_deepest.
     #[inline(always)]
-    fn backward(&self, of_weights: &[T; MAX_LAYERS], of_through: &[T], peeling: Peeling) -> [[T; MAX_LAYERS]; 2] {
-        let (zero, one, count) = (T::zero(), T::one(), self.count);
+    fn backward(&self, of_weights: &[N; MAX_LAYERS], of_through: &[N], peeling: Peeling) -> [[N; MAX_LAYERS]; 2] {
+        let (zero, one, count) = (self.count.constant(0.0), self.count.constant(1.0), self.deepest);
         let (mut alpha, mut depth) = ([zero; MAX_LAYERS], [zero; MAX_LAYERS]);
         // total derivative with respect to T_k, everything behind included; layers that are missing leave T as it is
-        let mut behind = of_through[count..].iter().fold(zero, |sum, &grad| sum + grad);
-        let soft = self.is_soft(peeling);
-        let (weights, total, factor) = if soft { self.unscaled() } else { ([zero; MAX_LAYERS], zero, zero) };
+        let mut behind = of_through[count];
+        let is_soft = self.is_soft(peeling);
+        let some_soft = N::any(is_soft);
+        let (weights, total, factor) = if some_soft { self.unscaled() } else { ([zero; MAX_LAYERS], zero, zero) };
+        let factor = N::select(is_soft, factor, zero);
         // of the hidden share 1 − T_K
         let mut mean = zero;
-        if soft && total > zero {
-            mean = (0..count).fold(zero, |sum, k| sum + of_weights[k] * weights[k]) / total;
+        if some_soft {
+            for k in 0..count {
+                mean = mean + of_weights[k] * weights[k];
+            }
+            mean = N::select(is_soft & zero.below(total), mean / total, zero);
             behind = behind - mean;
         }
         for k in (0..count).rev() {
-            let own = if soft { zero } else { of_weights[k] };
+            let own = N::select(is_soft, zero, of_weights[k]);
             alpha[k] = self.through[k] * (own - behind);
             behind = of_through[k] + self.alpha[k] * own + (one - self.alpha[k]) * behind;
         }
-        for i in (0..count).filter(|_| soft) {
+        for i in (0..count).filter(|_| some_soft) {
             let unscaled = factor * (of_weights[i] - mean);
             alpha[i] = alpha[i] + unscaled * self.left(i, i);
             for j in (0..count).filter(|&j| j != i) {
@@ -199,7 +265,46 @@ impl<T: Real> Stack<T> {
                 depth[j] = depth[j] + steepness;
             }
         }
+        for (k, alpha) in alpha[..count].iter_mut().enumerate() {
+            *alpha = N::select(self.has(k), *alpha, zero);
+        }
         [alpha, depth]
+    }
+}
+
+/// Writes weights, transmittances and limits of the pixels of a band.
+struct Forward<'a, 'b, T: Real> {
+    inputs: &'a Inputs<'a, T>,
+    pixels: Range<usize>,
+    out: [Vec<&'b mut [T]>; 3],
+}
+
+impl<T: Real> WithSimd for Forward<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { inputs, pixels: band, out: [mut weights, mut transmittance, mut limits] } = self;
+        let (layers, count) = (inputs.layers, T::lane_count::<S>());
+        for start in band.clone().step_by(count) {
+            let pixels = start..band.end.min(start + count);
+            let local = start - band.start..pixels.end - band.start;
+            let stack = inputs.stack(simd, &pixels);
+            if stack.deepest == 0 {
+                limits[layers][local].fill(T::of(STEP));
+                continue;
+            }
+            let own = stack.weights(inputs.peeling);
+            let (ends, slope) = stack.limits(&own, inputs.peeling, layers);
+            for k in 0..layers {
+                own[k].store_some(&mut weights[k][local.clone()]);
+                ends[k].store_some(&mut limits[k][local.clone()]);
+            }
+            for (k, through) in transmittance.iter_mut().enumerate() {
+                stack.through[k.min(stack.deepest)].store_some(&mut through[local.clone()]);
+            }
+            slope.store_some(&mut limits[layers][local]);
+        }
     }
 }
 
@@ -212,26 +317,56 @@ fn forward<T: Real>(inputs: &Inputs<T>) -> [Vec<T>; 3] {
     let mut parts = out.each_mut().map(|image| bands.split(image, inputs.width).into_iter());
     let tasks: Vec<_> =
         (0..BAND_COUNT).map(|_| parts.each_mut().map(|p| p.next().expect("one part per band"))).collect();
-    tasks.into_par_iter().enumerate().for_each(|(band, [mut weights, mut transmittance, mut limits])| {
-        for (local, pixel) in bands.pixels(band, inputs.width).enumerate() {
-            if inputs.ids[pixel] < 0 {
-                limits[layers][local] = T::of(STEP);
-                continue;
-            }
-            let stack = inputs.stack(pixel);
-            let own = stack.weights(inputs.peeling);
-            let (ends, slope) = stack.limits(&own, inputs.peeling, layers);
-            for k in 0..layers {
-                weights[k][local] = own[k];
-                limits[k][local] = ends[k];
-            }
-            for (k, through) in transmittance.iter_mut().enumerate() {
-                through[local] = stack.through[k.min(stack.count)];
-            }
-            limits[layers][local] = slope;
-        }
+    tasks.into_par_iter().enumerate().for_each(|(band, out)| {
+        vectorised(Forward { inputs, pixels: bands.pixels(band, inputs.width), out });
     });
     out
+}
+
+/// Writes the gradients with respect to alpha and depth of the pixels of a band.
+struct Backward<'a, 'b, T: Real> {
+    inputs: &'a Inputs<'a, T>,
+    grads: [Option<&'a [T]>; 2],
+    pixels: Range<usize>,
+    alpha: Vec<&'b mut [T]>,
+    depth: Vec<&'b mut [T]>,
+}
+
+impl<T: Real> WithSimd for Backward<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { inputs, grads, pixels: band, mut alpha, mut depth } = self;
+        let (plane, count, zero) = (inputs.height * inputs.width, T::lane_count::<S>(), Lanes::zero(simd));
+        for start in band.clone().step_by(count) {
+            let pixels = start..band.end.min(start + count);
+            let local = start - band.start..pixels.end - band.start;
+            let stack = inputs.stack(simd, &pixels);
+            if stack.deepest == 0 {
+                continue;
+            }
+            let read = {
+                #[inline(always)]
+                |grads: Option<&[T]>, k: usize| {
+                    grads.map_or(zero, |grads| Lanes::load_some(simd, &grads[k * plane..][pixels.clone()]))
+                }
+            };
+            let (mut of_weights, mut of_through) = ([zero; MAX_LAYERS], [zero; MAX_LAYERS + 1]);
+            for (k, grad) in of_weights[..stack.deepest].iter_mut().enumerate() {
+                *grad = read(grads[0], k);
+            }
+            for k in 0..=inputs.layers {
+                let at = k.min(stack.deepest);
+                of_through[at] = of_through[at] + read(grads[1], k);
+            }
+            let [own_alpha, own_depth] = stack.backward(&of_weights, &of_through, inputs.peeling);
+            for k in 0..stack.deepest {
+                own_alpha[k].store_some(&mut alpha[k][local.clone()]);
+                own_depth[k].store_some(&mut depth[k][local.clone()]);
+            }
+        }
+    }
 }
 
 /// Gradients with respect to alpha and depth, [K, H, W].
@@ -239,24 +374,8 @@ fn backward<T: Real>(inputs: &Inputs<T>, grads: [Option<&[T]>; 2]) -> [Vec<T>; 2
     let (layers, plane, bands) = (inputs.layers, inputs.height * inputs.width, Bands::new(inputs.height));
     let mut out = [(); 2].map(|()| vec![T::zero(); layers * plane]);
     let [of_alpha, of_depth] = out.each_mut().map(|image| bands.split(image, inputs.width));
-    of_alpha.into_par_iter().zip(of_depth).enumerate().for_each(|(band, (mut alpha, mut depth))| {
-        let (mut of_weights, mut of_through) = ([T::zero(); MAX_LAYERS], [T::zero(); MAX_LAYERS + 1]);
-        for (local, pixel) in bands.pixels(band, inputs.width).enumerate() {
-            if inputs.ids[pixel] < 0 {
-                continue;
-            }
-            let stack = inputs.stack(pixel);
-            let read = |grads: Option<&[T]>, into: &mut [T]| {
-                let Some(grads) = grads else { return };
-                into.iter_mut().enumerate().for_each(|(k, grad)| *grad = grads[k * plane + pixel]);
-            };
-            read(grads[0], &mut of_weights[..layers]);
-            read(grads[1], &mut of_through[..=layers]);
-            let [own_alpha, own_depth] = stack.backward(&of_weights, &of_through[..=layers], inputs.peeling);
-            for k in 0..stack.count {
-                (alpha[k][local], depth[k][local]) = (own_alpha[k], own_depth[k]);
-            }
-        }
+    of_alpha.into_par_iter().zip(of_depth).enumerate().for_each(|(band, (alpha, depth))| {
+        vectorised(Backward { inputs, grads, pixels: bands.pixels(band, inputs.width), alpha, depth });
     });
     out
 }

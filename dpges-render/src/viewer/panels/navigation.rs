@@ -3,8 +3,8 @@
 use egui::{ComboBox, Slider, Ui};
 use glam::DVec3;
 
-use super::super::navigation::Mode;
 use super::super::state::State;
+use crate::navigation::Mode;
 
 const AXES: [(&str, DVec3); 6] = [
     ("+x", DVec3::X),

@@ -3,8 +3,8 @@
 use egui::{Button, DragValue, Id, TextEdit, Ui};
 
 use super::super::dialogs::Purpose;
-use super::super::navigation::Viewpoint;
 use super::super::state::State;
+use crate::navigation::Viewpoint;
 
 enum Request {
     Show(usize),

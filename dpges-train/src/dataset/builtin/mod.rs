@@ -5,6 +5,8 @@ mod room;
 use std::f64::consts::TAU;
 
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
+#[cfg(test)]
+use glam::DVec2;
 use glam::{DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -12,6 +14,8 @@ use rayon::prelude::*;
 
 use self::room::{Hit, trace};
 use super::check::median;
+#[cfg(test)]
+use super::image::panorama;
 use super::image::picture::linear;
 use super::world::mean_and_extent;
 use super::{Dataset, DepthKind, DepthMap, Format, Notices, Picture, PointCloud, View};
@@ -122,7 +126,7 @@ pub fn builtin(options: &BuiltinOptions) -> Dataset {
                 let camera = dome_camera(options, index, count, phase);
                 let photograph = photograph(&camera, options.supersampling, changes[index]).into();
                 let of_kind = |kind| DepthMap::from_depths(kind, &builtin_geometry(&camera).0);
-                View { name: format!("{name}_{index:03}"), camera, photograph, depth: depth.map(of_kind) }
+                View { name: format!("{name}_{index:03}"), camera, photograph, depth: depth.map(of_kind), face: None }
             })
             .collect()
     };
@@ -222,7 +226,7 @@ fn hit(camera: &Camera, x: f64, y: f64) -> Hit {
     trace(eye, camera.unproject(x, y, 1.0) - eye)
 }
 
-fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
+pub(crate) fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
     let (width, height) = (camera.width, camera.height);
     let pixels = width * height;
     let eye = camera.centre();
@@ -240,6 +244,27 @@ fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
         }
     }
     Picture::from_planes(&planes, width, height)
+}
+
+/// The panorama of a camera with a pose, and [height × width] the distances of what it shows, world units.
+#[cfg(test)]
+pub(crate) fn builtin_panorama(pose: &CameraFromWorld, width: usize, supersampling: usize) -> (Picture, Vec<f32>) {
+    let (height, samples) = (width / 2, supersampling * supersampling);
+    let (eye, world_from_camera) = (pose.centre(), pose.rotation.transpose());
+    let hit = |pixel: usize, x: f64, y: f64| {
+        let at = DVec2::new(((pixel % width) as f64 + x) / width as f64, ((pixel / width) as f64 + y) / height as f64);
+        trace(eye, world_from_camera * panorama::direction(at))
+    };
+    let colour = |pixel: usize| -> DVec3 {
+        let share = |at: usize| (at as f64 + 0.5) / supersampling as f64;
+        let of = |sample: usize| hit(pixel, share(sample % supersampling), share(sample / supersampling)).colour(eye);
+        (0..samples).map(of).sum::<DVec3>() / samples as f64
+    };
+    let colours: Vec<DVec3> = (0..width * height).into_par_iter().map(colour).collect();
+    let planes: Vec<f32> =
+        (0..3).flat_map(|channel| colours.iter().map(move |colour| colour[channel] as f32)).collect();
+    let distances = (0..width * height).map(|pixel| hit(pixel, 0.5, 0.5).distance as f32).collect();
+    (Picture::from_planes(&planes, width, height), distances)
 }
 
 /// A display-referred value of a photograph with an exposure changed by `stops` of linear light, which clips at 1.

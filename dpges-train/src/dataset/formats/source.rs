@@ -2,12 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use dpges_core::camera::{Camera, Distortion, Lens};
+use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Lens};
 use glam::DVec3;
 
 use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::finding::{Kind, Notices};
 use crate::dataset::image::codec::Header;
+use crate::dataset::image::panorama::Face;
 use crate::dataset::{Format, Tracks};
 
 /// Which set a view belongs to; `Neither` for a view that the dataset's own lists leave out.
@@ -25,8 +26,11 @@ pub(in crate::dataset) struct Frame {
     pub image: PathBuf,
     /// The mask that the dataset names; once it is assembled the one that is there.
     pub mask: Option<PathBuf>,
-    /// That took the photograph, in the coordinates of the files; its near plane is set when the dataset is assembled.
+    /// That took the photograph, in the coordinates of the files; its near plane is set when the dataset is assembled. Of a
+    /// panorama that of a face.
     pub camera: Camera,
+    /// Of a panorama the face; that in front until all faces are cut.
+    pub panorama: Option<PanoramaPart>,
     /// Whether the files say of what size the picture is, and not the picture itself.
     pub is_sized: bool,
     /// Once it was read.
@@ -38,7 +42,36 @@ pub(in crate::dataset) struct Frame {
     pub depth: Option<DepthFile>,
 }
 
+/// A face of a panorama.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::dataset) struct PanoramaPart {
+    pub face: Face,
+    /// Width and height of the panorama, px.
+    pub size: [usize; 2],
+}
+
+impl PanoramaPart {
+    /// The front of a panorama of this size, and its camera.
+    pub fn front(size: [usize; 2], pose: CameraFromWorld) -> (Self, Camera) {
+        (Self { face: Face::Front, size }, Face::Front.camera(&pose, size[0], 0.0))
+    }
+}
+
 impl Frame {
+    /// Width and height of the photograph by its camera, px.
+    pub fn size(&self) -> [usize; 2] {
+        self.panorama.map_or([self.camera.width, self.camera.height], |part| part.size)
+    }
+
+    /// The camera of a photograph of another size.
+    pub fn taken_at(&self, [width, height]: [usize; 2]) -> Camera {
+        let Camera { camera_from_world, near, .. } = self.camera;
+        match self.panorama {
+            Some(_) => Camera { camera_from_world, ..Face::Front.camera(&camera_from_world, width, near) },
+            None => self.camera.resized(width, height),
+        }
+    }
+
     /// The error of a file that this frame names and that is not there.
     pub fn missing(&self, path: PathBuf, words: &'static [&'static str; 2]) -> DatasetError {
         let (view, described_in) = (self.name.clone(), self.described_in.clone());
@@ -48,7 +81,7 @@ impl Frame {
     /// # Errors
     /// [`DatasetError::Aspect`] unless a file of size `found` (width and height, px) has the aspect of the photograph.
     pub fn check_aspect(&self, path: &Path, found: [usize; 2], words: &'static [&'static str; 2]) -> Result<()> {
-        let camera = [self.camera.width, self.camera.height];
+        let camera = self.size();
         if is_resized(found, camera) {
             return Ok(());
         }

@@ -10,7 +10,7 @@ use glam::{DMat3, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use super::source::{DepthFile, Frame, Source, Split, lens};
+use super::source::{DepthFile, Frame, PanoramaPart, Source, Split, lens};
 use crate::dataset::error::{DatasetError, Result, read_text};
 use crate::dataset::folder::Folder;
 use crate::dataset::image::codec;
@@ -114,7 +114,7 @@ pub(in crate::dataset) fn cameras(path: &Path) -> Result<Option<Vec<(String, Cam
     let camera = |frame: &JsonFrame| {
         let name = name(&frame.file_path);
         let (camera_from_world, _) = camera_from_world(path, &name, &frame.transform_matrix)?;
-        let camera = file.intrinsics_of(frame, path)?.camera(path, &name, &root.join(&name), camera_from_world)?;
+        let (camera, _) = file.intrinsics_of(frame, path)?.camera(path, &name, &root.join(&name), camera_from_world)?;
         Ok((name, camera))
     };
     file.frames.iter().map(camera).collect::<Result<_>>().map(Some)
@@ -166,8 +166,10 @@ impl Transforms {
             let intrinsics = self.intrinsics_of(frame, path)?;
             let (camera_from_world, scale) = camera_from_world(path, &name, &frame.transform_matrix)?;
             scaled.extend(scale.map(|scale| (name.clone(), scale)));
+            let (camera, panorama) = intrinsics.camera(path, &name, &image, camera_from_world)?;
             source.frames.push(Frame {
-                camera: intrinsics.camera(path, &name, &image, camera_from_world)?,
+                camera,
+                panorama,
                 name,
                 image,
                 mask: frame.mask_path.as_deref().map(file),
@@ -224,8 +226,15 @@ pub(super) fn rigid(world_from_camera: DMat3, centre: DVec3) -> Option<(CameraFr
 }
 
 impl Intrinsics {
-    /// Fills gaps: the size from the image, square pixels, a centred principal point.
-    fn camera(&self, path: &Path, view: &str, image: &Path, camera_from_world: CameraFromWorld) -> Result<Camera> {
+    /// Fills gaps: the size from the image, square pixels, a centred principal point. Of a panorama, which shows all directions
+    /// whatever its focal lengths, the front.
+    fn camera(
+        &self,
+        path: &Path,
+        view: &str,
+        image: &Path,
+        camera_from_world: CameraFromWorld,
+    ) -> Result<(Camera, Option<PanoramaPart>)> {
         let projection = self.projection(path, view)?;
         let (width, height) = match (self.w, self.h) {
             (Some(width), Some(height)) => (width.round() as usize, height.round() as usize),
@@ -233,6 +242,10 @@ impl Intrinsics {
                 let header = codec::header(image)?;
                 (header.width, header.height)
             }
+        };
+        let Some(projection) = projection else {
+            let (front, camera) = PanoramaPart::front([width, height], camera_from_world);
+            return Ok((camera, Some(front)));
         };
         let (w, h) = (width as f64, height as f64);
         let from_angle = |angle: Option<f64>, side: f64| angle.map(|angle| 0.5 * side / (0.5 * angle).tan());
@@ -247,10 +260,12 @@ impl Intrinsics {
             ..Distortion::new(projection)
         };
         let (cx, cy) = (self.cx.unwrap_or(0.5 * w), self.cy.unwrap_or(0.5 * h));
-        Ok(Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens: lens(distortion) })
+        let lens = lens(distortion);
+        Ok((Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens }, None))
     }
 
-    fn projection(&self, path: &Path, view: &str) -> Result<Projection> {
+    /// That of the lens; `None` for panoramas.
+    fn projection(&self, path: &Path, view: &str) -> Result<Option<Projection>> {
         let refused = |model: &str, reason| {
             let (path, model) = (path.to_owned(), model.to_owned());
             Err(DatasetError::CameraModel { path, camera: format!("view `{view}`"), model, reason })
@@ -264,16 +279,22 @@ impl Intrinsics {
         }
         let model = self.camera_model.as_deref().map(str::to_uppercase);
         match (model.as_deref(), self.is_fisheye.unwrap_or(false)) {
-            (None, true) => Ok(Projection::Equidistant),
+            (None, true) => Ok(Some(Projection::Equidistant)),
             (
                 None | Some("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "PERSPECTIVE"),
                 false,
-            ) => Ok(Projection::Perspective),
+            ) => Ok(Some(Projection::Perspective)),
             (Some("OPENCV_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE"), _) => {
-                Ok(Projection::Equidistant)
+                Ok(Some(Projection::Equidistant))
             }
             (Some(model), true) => refused(model, "`is_fisheye` contradicts it"),
-            (Some(model @ "EQUIRECTANGULAR"), _) => refused(model, "panoramas do not fit a pinhole camera"),
+            (Some(model @ "EQUIRECTANGULAR"), _) => {
+                let coefficients = [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2];
+                match coefficients.iter().flatten().any(|&coefficient| coefficient != 0.0) {
+                    true => refused(model, "it has coefficients of distortion, which panoramas have not"),
+                    false => Ok(None),
+                }
+            }
             (Some(model), _) => refused(model, "it is unknown here"),
         }
     }

@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 
 use super::codec::{self, Alpha};
 use super::photograph::ImageInfo;
-use super::{depth, masks, undistort};
+use super::{depth, masks, panorama, undistort};
 use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::formats::source::{DepthFile, Frame, Split};
 use crate::dataset::{DepthKind, DepthMap, LoadOptions, Picture};
@@ -85,6 +85,9 @@ impl ImageDecoder {
             picture.count_only(masks::read(mask, &frame.image, size, self.invert_masks)?);
         }
         let Cameras { taken, pinhole, of_picture: camera } = self.cameras(frame, [picture.width, picture.height])?;
+        if let Some(part) = frame.panorama {
+            picture = panorama::cut(&picture, part.face, camera.width);
+        }
         if let Some(pinhole) = pinhole {
             picture = undistort::resample(&picture, &taken, &pinhole);
         }
@@ -120,7 +123,7 @@ impl ImageDecoder {
     fn cameras(&self, frame: &Frame, [width, height]: [usize; 2]) -> Result<Cameras> {
         let words = &["image", "image the camera was calibrated with"];
         frame.check_aspect(&frame.image, [width, height], words)?;
-        let taken = frame.camera.resized(width, height);
+        let taken = frame.taken_at([width, height]);
         let mut pinhole = None;
         if self.undistort && taken.lens.is_some() {
             let found = self.pinholes.of(&taken, undistort::pinhole);

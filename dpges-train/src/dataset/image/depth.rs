@@ -1,7 +1,7 @@
 //! Depth maps beside photographs: 16-bit grey PNGs in which 0 means unknown.
 //!
 //! Depth is what it is for the camera that took the photograph ([`dpges_core::camera`]): camera-space z, or the distance from
-//! the camera's centre through a fisheye lens.
+//! the camera's centre through a fisheye lens and on a panorama.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use dpges_core::camera::Camera;
 use image::DynamicImage;
 
 use super::codec::decoded;
-use super::undistort;
+use super::{panorama, undistort};
 use crate::dataset::Picture;
 use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::formats::source::{DepthFile, Frame};
@@ -107,7 +107,10 @@ pub(in crate::dataset) fn read(
     let (width, height) = (map.width() as usize, map.height() as usize);
     frame.check_aspect(path, [width, height], &["depth map", "map of this photograph"])?;
     let step = if kind == DepthKind::Metric { file.unit } else { 1.0 / f64::from(u16::MAX) };
-    let mut steps = sampled(map.as_raw(), [width, height], kind, camera, &frame.camera);
+    let mut steps = match frame.panorama {
+        Some(part) => panorama::cut_depth(map.as_raw(), [width, height], kind, part.face, camera.width),
+        None => sampled(map.as_raw(), [width, height], kind, camera, &frame.camera),
+    };
     picture.clear_ignored(&mut steps);
     Ok(DepthMap { kind, steps: steps.into(), step })
 }

@@ -6,6 +6,7 @@ pub(super) mod decoder;
 pub(super) mod depth;
 pub(super) mod masks;
 pub(super) mod packed;
+pub(crate) mod panorama;
 pub(super) mod photograph;
 pub(super) mod picture;
 pub(super) mod reading;

@@ -1,5 +1,7 @@
 //! Reads the photographs of a dataset, in parallel and within a budget of memory.
 
+use std::collections::HashSet;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -9,7 +11,7 @@ use rayon::prelude::*;
 use super::cache::{ImageCache, reading_threads};
 use super::decoder::ImageDecoder;
 use super::photograph::{ImageFile, ImageInfo, Photograph};
-use crate::dataset::error::Result;
+use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::formats::source::Frame;
 use crate::dataset::{DepthMap, Picture, SAMPLED_VIEWS, View};
 
@@ -28,7 +30,7 @@ struct Found {
     depth: Option<DepthMap>,
 }
 
-/// The views of `frames`, in their order. The photographs of up to [`SAMPLED_VIEWS`] frames are read now, those of more when
+/// The views of `frames`, in their order, without faces of panoramas on which nothing counts. The photographs of up to [`SAMPLED_VIEWS`] frames are read now, those of more when
 /// they are needed, unless only their pixels say what has to be known of them. The first photographs stay in memory, `memory`
 /// bytes of them at most; others are read again and again if need be. Returns the bytes that are left over, too.
 ///
@@ -44,31 +46,43 @@ pub(in crate::dataset) fn views(
         let with = |kept: usize| kept.checked_add(bytes).filter(|&kept| kept <= memory);
         kept_bytes.fetch_update(Ordering::SeqCst, Ordering::SeqCst, with).is_ok()
     };
-    let first = |frame: &Frame| -> Result<Found> {
+    let first = |frame: &Frame| -> Result<Option<Found>> {
         if frames.len() > SAMPLED_VIEWS
             && let Some((camera, info)) = decoder.survey(frame)?
         {
-            return Ok(Found { camera, info, picture: None, was_read: false, depth: None });
+            return Ok(Some(Found { camera, info, picture: None, was_read: false, depth: None }));
         }
-        let (camera, picture) = decoder.photograph(frame)?;
+        let (camera, picture) = match decoder.photograph(frame) {
+            // such as the stand below a panorama
+            Err(DatasetError::NothingCounts { .. }) if frame.panorama.is_some() => return Ok(None),
+            read => read?,
+        };
         let (info, depth) = (ImageInfo::of(&picture), decoder.depth(frame, &camera, &picture)?);
         let picture = fits(info.bytes).then(|| Arc::new(picture));
-        Ok(Found { camera, info, picture, was_read: true, depth })
+        Ok(Some(Found { camera, info, picture, was_read: true, depth }))
     };
     let threads = reading_threads(thread_count(frames, memory));
     // a bridge begins with the first frames, whose photographs shall stay
     let first = || (0..frames.len()).par_bridge().map(|index| (index, first(frames[index]))).collect();
-    let mut found: Vec<(usize, Result<Found>)> = threads.install(first);
+    let mut found: Vec<(usize, Result<Option<Found>>)> = threads.install(first);
     found.sort_by_key(|(index, _)| *index);
-    let found = found.into_iter().map(|(_, found)| found).collect::<Result<Vec<Found>>>()?;
-    let all: usize = found.iter().map(|found| found.info.bytes).sum();
+    let found = found.into_iter().map(|(_, found)| found).collect::<Result<Vec<Option<Found>>>>()?;
+    let seen: HashSet<&PathBuf> =
+        frames.iter().zip(&found).filter(|(_, found)| found.is_some()).map(|(frame, _)| &frame.image).collect();
+    if let Some(frame) = frames.iter().find(|frame| !seen.contains(&frame.image)) {
+        return Err(DatasetError::NothingCounts { path: frame.image.clone(), view: frame.name.clone() });
+    }
+    let bytes = || found.iter().flatten().map(|found| found.info.bytes);
+    let all: usize = bytes().sum();
     let all_fit = all <= memory;
     let most_kept = if all_fit { memory } else { (memory as f64 * (1.0 - FOR_RECENT)) as usize };
-    let largest_bytes = found.iter().map(|found| found.info.bytes).max().unwrap_or(0);
+    let largest_bytes = bytes().max().unwrap_or(0);
     let cache = ImageCache::new(memory - most_kept, largest_bytes, threads);
     let (mut sum, mut kept, mut kept_sum) = (0, 0, 0);
     let mut views = Vec::with_capacity(frames.len());
     for (key, (frame, found)) in frames.iter().zip(found).enumerate() {
+        let Some(found) = found else { continue };
+        let face = frame.panorama.map(|part| part.face);
         let Found { camera, info, picture, was_read, depth } = found;
         sum += info.bytes;
         let stays = sum <= most_kept;
@@ -84,7 +98,7 @@ pub(in crate::dataset) fn views(
                 Photograph::in_file(file, info, Arc::clone(&cache))
             }
         };
-        views.push(View { name: frame.name.clone(), camera, photograph, depth });
+        views.push(View { name: frame.name.clone(), camera, photograph, depth, face });
     }
     if !all_fit {
         tracing::info!(
@@ -101,7 +115,7 @@ pub(in crate::dataset) fn views(
 /// Number of threads that read photographs, so that what they take meanwhile, and one more that is needed now, fits into
 /// `memory`, bytes.
 fn thread_count(frames: &[&Frame], memory: usize) -> usize {
-    let largest = frames.iter().map(|frame| frame.camera.width.saturating_mul(frame.camera.height)).max().unwrap_or(0);
+    let largest = frames.iter().map(|frame| frame.size()[0].saturating_mul(frame.size()[1])).max().unwrap_or(0);
     let each = largest.saturating_mul(WORKING_BYTES_PER_PIXEL).max(1);
     (memory / each).saturating_sub(1).clamp(1, rayon::current_num_threads())
 }

@@ -71,7 +71,7 @@ pub fn consolidate(
     let view = |(number, camera): (usize, &Camera)| {
         let planes = tensor_to_rows(renderer.render(camera)?.image());
         let photograph = Picture::from_planes(&planes, camera.width, camera.height).into();
-        Ok(View { name: format!("view_{number:03}"), camera: *camera, photograph, depth: None })
+        Ok(View { name: format!("view_{number:03}"), camera: *camera, photograph, depth: None, face: None })
     };
     let views = cameras.iter().enumerate().map(view).collect::<dpges_core::Result<Vec<View>>>()?;
     fit(&kept, &views, STEPS, device)

@@ -110,7 +110,7 @@ fn pictures(scene: &SceneData, cameras: &[Camera], device: &Device) -> dpges_cor
         let image = tensor_to_rows(renderer.render(camera)?.image());
         let planes: Vec<f32> = image.into_iter().map(|value| DARKER * value.clamp(0.0, 1.0)).collect();
         let photograph = Picture::from_planes(&planes, camera.width, camera.height).into();
-        Ok(View { name: format!("view_{number:03}"), camera: *camera, photograph, depth: None })
+        Ok(View { name: format!("view_{number:03}"), camera: *camera, photograph, depth: None, face: None })
     };
     cameras.iter().enumerate().map(view).collect()
 }

@@ -1,10 +1,14 @@
 //! The Gaussians that a camera sees, neighbours in the image beside one another.
 
+use std::ops::Range;
+
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 use super::Splat;
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
+use crate::backend::vectors::MOST;
 use crate::footprint::gaussian::tensors::GaussianRows;
 use crate::math::CameraOf;
 use crate::scene::ScreenFilter;
@@ -24,21 +28,47 @@ pub struct InView<T> {
     pub rects: Vec<PixelRect>,
 }
 
+/// Projects the Gaussians of a chunk: the tile in which each begins, its row, its footprint and its rectangle.
+struct Project<'a, T: Real> {
+    gaussians: &'a GaussianRows<'a, T>,
+    camera: &'a CameraOf<T>,
+    filter: ScreenFilter,
+    grid: TileGrid,
+    rows: Range<usize>,
+}
+
+impl<T: Real> WithSimd for Project<'_, T> {
+    type Output = Vec<(usize, u32, Splat<T>, PixelRect)>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { gaussians, camera, filter, grid, rows } = self;
+        let camera = camera.in_lanes(simd);
+        let mut seen = Vec::with_capacity(rows.len());
+        for first in rows.clone().step_by(T::lane_count::<S>()) {
+            // the last row again in lanes that are left over
+            let lanes: [usize; MOST] = std::array::from_fn(|lane| (first + lane).min(rows.end - 1));
+            let parameters = gaussians.parameters_in_lanes(simd, &lanes);
+            let (visible, splats) = Splat::seen(&camera, &parameters, gaussians.colours_in_lanes(simd, &lanes), filter);
+            for (row, splat) in (first..rows.end).zip(splats.apart(visible)) {
+                let Some(splat) = splat else { continue };
+                let rect = splat.reach(grid.width, grid.height);
+                let [column, _, line, _] = rect.tiles();
+                if !rect.is_empty() {
+                    seen.push((line * grid.columns + column, row as u32, splat, rect));
+                }
+            }
+        }
+        seen
+    }
+}
+
 impl<T: Real> InView<T> {
     pub fn new(gaussians: &GaussianRows<T>, camera: &CameraOf<T>, filter: ScreenFilter, grid: TileGrid) -> Self {
         let count = gaussians.len();
         let seen_of_chunk = |chunk: usize| {
-            let seen = |row: usize| {
-                let splat = gaussians.splat(camera, row, filter)?;
-                let rect = splat.reach(grid.width, grid.height);
-                let [column, _, line, _] = rect.tiles();
-                (!rect.is_empty()).then_some((line * grid.columns + column, row as u32, splat, rect))
-            };
             let rows = chunk * CHUNK..count.min((chunk + 1) * CHUNK);
-            vectorised(
-                #[inline(always)]
-                || rows.filter_map(seen).collect::<Vec<_>>(),
-            )
+            vectorised(Project { gaussians, camera, filter, grid, rows })
         };
         // collected in the order of the chunks, so that sums do not depend on the number of threads
         let chunks: Vec<Vec<_>> = (0..count.div_ceil(CHUNK)).into_par_iter().map(seen_of_chunk).collect();

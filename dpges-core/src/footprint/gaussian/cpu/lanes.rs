@@ -1,10 +1,11 @@
-//! The footprint of a Gaussian at the pixels of a vector.
+//! The footprint of a Gaussian at the pixels of a vector, and those of as many Gaussians as a vector has numbers.
 
 use pulp::Simd;
 
 use super::Splat;
-use crate::backend::lanes::Lanes;
+use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
+use crate::backend::vectors::MOST;
 use crate::footprint::CUTOFF;
 
 /// A [`Splat`] for many pixels.
@@ -50,5 +51,63 @@ impl<T: Real, S: Simd> SplatLanes<T, S> {
         }
         let weight = self.strength * exponent.exp_nonpositive();
         Some(At { u, v, weight: weight.only(weight.at_least(self.cutoff)) })
+    }
+}
+
+impl<T: Real, S: Simd> Splat<Lanes<T, S>> {
+    /// Those of the lanes in which `visible` is set.
+    #[inline(always)]
+    pub fn apart(&self, visible: Mask<T, S>) -> [Option<Splat<T>>; MOST] {
+        let simd = self.strength.simd();
+        let ([x, y], [p, q, r], [a, c], [red, green, blue]) = (self.mean, self.root, self.variances, self.colour);
+        let drawn = Lanes::splat(simd, T::one()).only(visible);
+        let rows = Lanes::to_rows([
+            x,
+            y,
+            p,
+            q,
+            r,
+            a,
+            c,
+            self.strength,
+            self.depth,
+            red,
+            green,
+            blue,
+            self.squared_radius,
+            drawn,
+        ]);
+        let mut splats = [None; MOST];
+        for (out, [x, y, p, q, r, a, c, strength, depth, red, green, blue, squared_radius, drawn]) in
+            splats.iter_mut().zip(rows).take(T::lane_count::<S>())
+        {
+            *out = (drawn > T::zero()).then_some(Splat {
+                mean: [x, y],
+                root: [p, q, r],
+                variances: [a, c],
+                strength,
+                depth,
+                colour: [red, green, blue],
+                squared_radius,
+            });
+        }
+        splats
+    }
+
+    /// `splat(lane)` in each lane.
+    #[inline(always)]
+    pub fn together<'a>(simd: S, splat: impl Fn(usize) -> &'a Splat<T>) -> Self {
+        let [x, y, p, q, r, a, c, strength, depth, red, green, blue, squared_radius] = Lanes::from_rows(
+            simd,
+            #[inline(always)]
+            |lane| {
+                let Splat { mean: [x, y], root: [p, q, r], variances: [a, c], colour: [red, green, blue], .. } =
+                    *splat(lane);
+                let Splat { strength, depth, squared_radius, .. } = *splat(lane);
+                [x, y, p, q, r, a, c, strength, depth, red, green, blue, squared_radius]
+            },
+        );
+        let (mean, root, variances, colour) = ([x, y], [p, q, r], [a, c], [red, green, blue]);
+        Self { mean, root, variances, strength, depth, colour, squared_radius }
     }
 }

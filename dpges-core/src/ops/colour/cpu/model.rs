@@ -1,20 +1,26 @@
 //! The two colour models for one primitive, forward and backward.
 
-use crate::backend::real::Real;
+use crate::backend::number::Number;
 use crate::math::{V3, dot, scale, sub};
 use crate::ops::colour::{LARGEST_BETA, SHARPNESS};
 use crate::scene::SH_C0;
+use crate::scene::lobes::LOBE_LEN;
 
 /// Unit vector from the camera to a primitive; zero at the camera itself.
 #[inline(always)]
-pub fn direction<T: Real>(position: V3<T>, centre: V3<T>) -> V3<T> {
+pub fn direction<N: Number>(position: V3<N>, centre: V3<N>) -> V3<N> {
     let offset = sub(position, centre);
-    scale(offset, T::one() / dot(offset, offset).sqrt().max(T::of(1e-12)))
+    let length = dot(offset, offset).sqrt();
+    scale(offset, length.constant(1.0) / length.max(length.constant(1e-12)))
 }
 
 #[inline(always)]
-pub fn base<T: Real>(coefficients: V3<T>) -> V3<T> {
-    coefficients.map(|k| T::of(0.5) + T::of(SH_C0) * k)
+pub fn base<N: Number>([r, g, b]: V3<N>) -> V3<N> {
+    let of = {
+        #[inline(always)]
+        |k: N| k.constant(0.5) + k.constant(SH_C0) * k
+    };
+    [of(r), of(g), of(b)]
 }
 
 /// Logarithm below which an exponential counts as 0, as it does in f32 on GPUs: no gradient reaches a lobe that is absent.
@@ -22,91 +28,89 @@ const VANISHED: f64 = 87.0;
 
 /// Stable softplus and its derivative.
 #[inline(always)]
-fn softplus<T: Real>(raw: T) -> (T, T) {
-    let x = T::of(SHARPNESS) * raw;
+fn softplus<N: Number>(raw: N) -> (N, N) {
+    let (zero, one, sharpness) = (raw.constant(0.0), raw.constant(1.0), raw.constant(SHARPNESS));
+    let x = sharpness * raw;
     // the exponential of a negative number on either side, which cannot overflow
-    let decay = if x.abs() < T::of(VANISHED) { (-x.abs()).exp_nonpositive() } else { T::zero() };
-    let value = (x.max(T::zero()) + decay.ln_1p_share()) / T::of(SHARPNESS);
+    let is_there = x.abs().below(raw.constant(VANISHED));
+    let decay = N::select(is_there, (-x.abs()).exp_nonpositive(), zero);
+    let value = (x.max(zero) + decay.ln_1p_share()) / sharpness;
     // written by `decay` on both sides: 1 − 1 / (1 + d) would cancel
-    let sigmoid = if x >= T::zero() { T::one() / (T::one() + decay) } else { decay / (T::one() + decay) };
+    let sigmoid = N::select(x.at_least(zero), one, decay) / (one + decay);
     (value, sigmoid)
 }
 
-/// One lobe evaluated in a direction on its lit side.
-struct Lobe<T> {
-    rgb: [(T, T); 3],
-    /// (d·μ)^exponent, above 0.
-    lit: T,
-    exponent: T,
-    saturated: bool,
-    cosine: T,
+/// One lobe evaluated in a direction.
+struct Lobe<N> {
+    rgb: [(N, N); 3],
+    /// (d·μ)^exponent: 0 on the unlit side and where the power underflows, nothing of the lobe is seen there.
+    lit: N,
+    exponent: N,
+    /// 1 on the unlit side, where nothing is divided by it then.
+    cosine: N,
     /// Derivatives of d·μ with respect to θ and φ.
-    cosine_theta: T,
-    cosine_phi: T,
+    cosine_theta: N,
+    cosine_phi: N,
 }
 
-impl<T: Real> Lobe<T> {
-    /// `None` on the unlit side and where the power underflows: nothing of the lobe is seen there.
+impl<N: Number> Lobe<N> {
     #[inline(always)]
-    fn new(raw: &[T], d: V3<T>) -> Option<Self> {
-        let (sin_theta, cos_theta) = raw[3].sin_cos();
-        let (sin_phi, cos_phi) = raw[4].sin_cos();
+    fn new([r, g, b, theta, phi, beta]: [N; LOBE_LEN], d: V3<N>) -> Self {
+        let (sin_theta, cos_theta) = theta.sin_cos();
+        let (sin_phi, cos_phi) = phi.sin_cos();
+        let (zero, one) = (beta.constant(0.0), beta.constant(1.0));
         let across = d[0] * cos_phi + d[1] * sin_phi;
         let cosine = sin_theta * across + cos_theta * d[2];
-        let (exponent, lit) = if cosine > T::zero() {
-            let exponent = T::of(4.0) * raw[5].min(T::of(LARGEST_BETA)).exp();
-            // only on the lit side: a power of a negative cosine is NaN
-            (exponent, cosine.powf(exponent))
-        } else {
-            (T::zero(), T::zero())
-        };
-        if lit <= T::zero() {
-            return None;
-        }
-        Some(Self {
-            rgb: [softplus(raw[0]), softplus(raw[1]), softplus(raw[2])],
-            lit,
+        let is_lit = zero.below(cosine);
+        // a power of a negative cosine is not a number
+        let cosine = N::select(is_lit, cosine, one);
+        let exponent = beta.constant(4.0) * beta.min(beta.constant(LARGEST_BETA)).exp();
+        Self {
+            rgb: [softplus(r), softplus(g), softplus(b)],
+            lit: N::select(is_lit, (exponent * cosine.ln()).exp(), zero),
             exponent,
-            saturated: raw[5] > T::of(LARGEST_BETA),
             cosine,
             cosine_theta: cos_theta * across - sin_theta * d[2],
             cosine_phi: sin_theta * (d[1] * cos_phi - d[0] * sin_phi),
-        })
-    }
-}
-
-/// Σ over the lobes in `raw` (6 numbers each) seen in direction `d`.
-#[inline(always)]
-pub fn lobes<T: Real>(raw: &[T], d: V3<T>) -> V3<T> {
-    raw.chunks_exact(6)
-        .filter_map(|raw| Lobe::new(raw, d))
-        .fold([T::zero(); 3], |sum, lobe| std::array::from_fn(|c| sum[c] + lobe.rgb[c].0 * lobe.lit))
-}
-
-/// Gradient of [`lobes`] with respect to `raw`, written to `out`.
-#[inline(always)]
-pub fn lobes_backward<T: Real>(raw: &[T], d: V3<T>, grad: V3<T>, out: &mut [T]) {
-    for (raw, out) in raw.chunks_exact(6).zip(out.chunks_exact_mut(6)) {
-        let Some(lobe) = Lobe::new(raw, d) else {
-            out.fill(T::zero());
-            continue;
-        };
-        let brightness = (0..3).map(|c| grad[c] * lobe.rgb[c].0).sum::<T>();
-        // no second power; a lobe that is lit has a positive cosine
-        let grad_cosine = brightness * lobe.exponent * lobe.lit / lobe.cosine;
-        for c in 0..3 {
-            out[c] = grad[c] * lobe.lit * lobe.rgb[c].1;
         }
-        out[3] = grad_cosine * lobe.cosine_theta;
-        out[4] = grad_cosine * lobe.cosine_phi;
-        out[5] = if lobe.saturated { T::zero() } else { brightness * lobe.exponent * lobe.lit * lobe.cosine.ln() };
     }
+}
+
+/// A lobe with the numbers `raw` seen in direction `d`.
+#[inline(always)]
+pub fn lobe<N: Number>(raw: [N; LOBE_LEN], d: V3<N>) -> V3<N> {
+    let Lobe { rgb: [(r, _), (g, _), (b, _)], lit, .. } = Lobe::new(raw, d);
+    [r * lit, g * lit, b * lit]
+}
+
+/// Gradient of [`lobe`] with respect to `raw`.
+#[inline(always)]
+pub fn lobe_backward<N: Number>(raw: [N; LOBE_LEN], d: V3<N>, grad: V3<N>) -> [N; LOBE_LEN] {
+    let Lobe { rgb: [(r, slope_r), (g, slope_g), (b, slope_b)], lit, exponent, cosine, cosine_theta, cosine_phi } =
+        Lobe::new(raw, d);
+    let brightness = dot(grad, [r, g, b]);
+    // no second power
+    let grad_power = brightness * exponent * lit;
+    let grad_cosine = grad_power / cosine;
+    let beta = raw[5];
+    let is_saturated = beta.constant(LARGEST_BETA).below(beta);
+    [
+        grad[0] * lit * slope_r,
+        grad[1] * lit * slope_g,
+        grad[2] * lit * slope_b,
+        grad_cosine * cosine_theta,
+        grad_cosine * cosine_phi,
+        N::select(is_saturated, beta.constant(0.0), grad_power * cosine.ln()),
+    ]
 }
 
 /// Values of the spherical harmonics Y1..Y15 in direction `d` (3DGS).
 #[inline(always)]
-pub fn harmonics<T: Real>([x, y, z]: V3<T>) -> [T; 15] {
-    let c = T::of;
+pub fn harmonics<N: Number>([x, y, z]: V3<N>) -> [N; 15] {
+    let c = {
+        #[inline(always)]
+        |value: f64| x.constant(value)
+    };
     let (xx, yy, zz) = (x * x, y * y, z * z);
     [
         c(-0.488_602_511_902_919_9) * y,
@@ -125,21 +129,4 @@ pub fn harmonics<T: Real>([x, y, z]: V3<T>) -> [T; 15] {
         c(1.445_305_721_320_277) * z * (xx - yy),
         c(-0.590_043_589_926_643_5) * x * (xx - c(3.0) * yy),
     ]
-}
-
-/// Σ over the higher coefficients in `raw` (3 numbers each), after so many `before` them, seen in direction `d`.
-#[inline(always)]
-pub fn higher_harmonics<T: Real>(raw: &[T], before: usize, d: V3<T>) -> V3<T> {
-    raw.chunks_exact(3)
-        .zip(&harmonics(d)[before..])
-        .fold([T::zero(); 3], |sum, (raw, y)| std::array::from_fn(|c| sum[c] + raw[c] * *y))
-}
-
-/// Gradient of [`higher_harmonics`] with respect to `raw`, written to `out`.
-#[inline(always)]
-pub fn higher_harmonics_backward<T: Real>(before: usize, d: V3<T>, grad: V3<T>, out: &mut [T]) {
-    for (out, y) in out.chunks_exact_mut(3).zip(&harmonics(d)[before..]) {
-        // directions carry no gradient to positions
-        out.copy_from_slice(&scale(grad, *y));
-    }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Projection};
 
-use super::super::source::lens;
+use super::super::source::{PanoramaPart, lens};
 use super::radial_fit;
 use crate::dataset::error::{DatasetError, Result};
 
@@ -50,9 +50,12 @@ pub(super) struct CameraRecord {
 }
 
 impl CameraRecord {
+    /// Of a panorama that of its front.
+    ///
     /// # Errors
     /// [`DatasetError::CameraModel`] for unknown models, [`DatasetError::Malformed`] for a wrong number of parameters.
-    pub fn camera(&self, path: &Path, camera_from_world: CameraFromWorld) -> Result<Camera> {
+    pub fn camera(&self, path: &Path, camera_from_world: CameraFromWorld) -> Result<(Camera, Option<PanoramaPart>)> {
+        let size = [self.width, self.height].map(|side| side as usize);
         let perspective = Distortion::new(Projection::Perspective);
         let bent = |k: [f64; 6], tangential: [f64; 2]| Distortion {
             numerator: [k[0], k[1], k[2], 0.0, 0.0, 0.0],
@@ -103,10 +106,12 @@ impl CameraRecord {
             ("EUCM", &[fx, fy, cx, cy, alpha, beta]) => {
                 ([fx, fy], [cx, cy], self.fitted(path, [fx, fy, cx, cy], eucm(alpha, beta))?)
             }
+            ("EQUIRECTANGULAR", &[w, h]) if [w, h] != size.map(|side| side as f64) => {
+                return Err(self.unsupported(path, "its parameters are not the width and height of its picture"));
+            }
             ("EQUIRECTANGULAR", &[_, _]) => {
-                return Err(
-                    self.unsupported(path, "a panorama fits no picture of a pinhole; cut it into pictures first")
-                );
+                let (front, camera) = PanoramaPart::front(size, camera_from_world);
+                return Ok((camera, Some(front)));
             }
             // without an angle it is a pinhole
             ("FOV", &[fx, fy, cx, cy, 0.0]) => ([fx, fy], [cx, cy], perspective),
@@ -119,9 +124,8 @@ impl CameraRecord {
                 return Err(DatasetError::malformed(path, what, params.len(), count));
             }
         };
-        let ([fx, fy], [cx, cy], lens) = (focal, centre, lens(distortion));
-        let (width, height) = (self.width as usize, self.height as usize);
-        Ok(Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens })
+        let ([fx, fy], [cx, cy], [width, height], lens) = (focal, centre, size, lens(distortion));
+        Ok((Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens }, None))
     }
 
     fn unsupported(&self, path: &Path, reason: &'static str) -> DatasetError {

@@ -16,7 +16,7 @@ use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::DVec3;
 
 use self::camera_model::CameraRecord;
-use super::source::{Frame, RawPoints, Source};
+use super::source::{Frame, PanoramaPart, RawPoints, Source};
 use super::{ply, split};
 use crate::dataset::check::median;
 use crate::dataset::error::{DatasetError, Result};
@@ -113,7 +113,7 @@ pub(crate) fn model_content(model: &Path) -> Result<ModelContent> {
 /// [`DatasetError`] for files that are missing, truncated or malformed, for unknown lenses.
 pub(in crate::dataset) fn model_cameras(model: &Path) -> Result<Vec<(String, Camera)>> {
     let (cameras, described_in) = (Cameras::read(model)?, file(model, "images")?);
-    images(model)?.into_iter().map(|image| Ok((image.name.clone(), cameras.of(&image, &described_in)?))).collect()
+    images(model)?.into_iter().map(|image| Ok((image.name.clone(), cameras.of(&image, &described_in)?.0))).collect()
 }
 
 /// The points of a file, read one by one: a large capture has gigabytes of them.
@@ -174,7 +174,7 @@ impl Cameras {
     }
 
     /// That of an image which `described_in` has.
-    fn of(&self, image: &ImageRecord, described_in: &Path) -> Result<Camera> {
+    fn of(&self, image: &ImageRecord, described_in: &Path) -> Result<(Camera, Option<PanoramaPart>)> {
         let record = self.records.get(&image.camera_id).ok_or_else(|| {
             let what = format!("the camera of image `{}`", image.name);
             let found = format!("{}, which {} does not hold", image.camera_id, self.path.display());
@@ -201,7 +201,7 @@ fn read_frames(
     let pictures = layout.folder.pictures(&names, &["images", ""]);
     let mut frame_of = BTreeMap::new();
     for ((image, split), picture) in images.iter().zip(splits).zip(pictures) {
-        let camera = cameras.of(image, &source.described_in)?;
+        let (camera, panorama) = cameras.of(image, &source.described_in)?;
         let Some(picture) = picture else {
             source.missing.push(root.join("images").join(&image.name));
             continue;
@@ -212,6 +212,7 @@ fn read_frames(
             image: picture,
             mask: None,
             camera,
+            panorama,
             is_sized: true,
             header: None,
             split,

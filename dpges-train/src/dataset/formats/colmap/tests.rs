@@ -135,7 +135,11 @@ fn unknown_models_are_refused_by_name() {
     let of_count = ["cameras.txt: the number of parameters of camera 5 (PINHOLE) is 3, expected 4"];
     refused(colmap_folder(&scene, Encoding::Text).path(), &of_count);
     (scene.model, scene.params) = ((17, "EQUIRECTANGULAR"), vec![24.0, 16.0]);
-    refused(colmap_folder(&scene, Encoding::Binary).path(), &["cameras.bin: camera model EQUIRECTANGULAR", "panorama"]);
+    let parts = ["images.bin: view `left/000.png` is a panorama of 24x16 px", "twice as wide as high", "pad "];
+    refused(colmap_folder(&scene, Encoding::Binary).path(), &parts);
+    scene.params[0] = 32.0;
+    let parts = ["cameras.bin: camera model EQUIRECTANGULAR of camera 5", "not the width and height"];
+    refused(colmap_folder(&scene, Encoding::Binary).path(), &parts);
 }
 
 #[test]

@@ -41,7 +41,8 @@ pub(super) fn read(path: &Path) -> Result<Found> {
         shot_of.push(Some(found.shots.len() as u32));
         let bent = Distortion::new(Projection::Perspective);
         let distortion = Distortion { numerator: [k1, k2, 0.0, 0.0, 0.0, 0.0], ..bent };
-        let optics = Optics { focal: [f; 2], centre: [0.0; 2], is_in_sides: false, distortion, size: None };
+        let optics =
+            Optics { focal: [f; 2], centre: [0.0; 2], is_in_sides: false, distortion: Some(distortion), size: None };
         let world_from_camera = by_rows(rows).transpose();
         let centre = -(world_from_camera * DVec3::from(translation));
         let to_opencv = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));

@@ -102,10 +102,14 @@ fn sensor_optics(path: &Path, sensor: Node, notices: &mut Notices) -> Result<Opt
     let adjusted = calibrations().find(|node| node.attribute("class") == Some("adjusted"));
     let calibration = adjusted.or_else(|| calibrations().next());
     let kind = calibration.and_then(|node| node.attribute("type")).or(sensor.attribute("type")).unwrap_or("frame");
+    let resolution = calibration.and_then(|node| child(node, "resolution")).or_else(|| child(sensor, "resolution"));
+    let side = |name: &str| resolution.and_then(|node| node.attribute(name)).and_then(|text| text.parse().ok());
+    let size: Option<[usize; 2]> = side("width").zip(side("height")).map(<[usize; 2]>::from);
     let projection = match kind {
         "frame" => Projection::Perspective,
         "fisheye" | "equidistant_fisheye" => Projection::Equidistant,
-        _ => return refused(kind, "only `frame` and the equidistant `fisheye` are read, no panoramas"),
+        "spherical" => return Ok(Optics::panorama(size)),
+        _ => return refused(kind, "only `frame`, the equidistant `fisheye` and `spherical` are read"),
     };
     let text = |name: &str| calibration.and_then(|node| child_text(node, name));
     let number = |name: &str| match text(name) {
@@ -120,9 +124,6 @@ fn sensor_optics(path: &Path, sensor: Node, notices: &mut Notices) -> Result<Opt
         let what = format!("`f` of sensor `{label}`");
         return Err(DatasetError::malformed(path, what, text("f").unwrap_or("not there"), "a focal length, px"));
     }
-    let resolution = calibration.and_then(|node| child(node, "resolution")).or_else(|| child(sensor, "resolution"));
-    let side = |name: &str| resolution.and_then(|node| node.attribute(name)).and_then(|text| text.parse().ok());
-    let size: Option<[usize; 2]> = side("width").zip(side("height")).map(<[usize; 2]>::from);
     let height = size.map_or(f, |[_, height]| height as f64);
     let shear_px = 0.5 * height / f * number("b2")?.abs();
     if shear_px > MOST_SHEAR_PX {
@@ -137,5 +138,5 @@ fn sensor_optics(path: &Path, sensor: Node, notices: &mut Notices) -> Result<Opt
         ..Distortion::new(projection)
     };
     let focal = [f + number("b1")?, f];
-    Ok(Optics { focal, centre: [cx, cy], is_in_sides: false, distortion, size })
+    Ok(Optics { focal, centre: [cx, cy], is_in_sides: false, distortion: Some(distortion), size })
 }

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion};
 use glam::{DMat3, DVec3};
 
-use super::source::{Frame, RawPoints, Source, lens};
+use super::source::{Frame, PanoramaPart, RawPoints, Source, lens};
 use super::transforms::{ROTATION, rigid};
 use super::{ply, split};
 use crate::dataset::error::{DatasetError, Result};
@@ -29,18 +29,33 @@ struct Optics {
     /// Principal point from the middle of the picture, to the right and down, in the unit of `focal`.
     pub centre: [f64; 2],
     pub is_in_sides: bool,
-    pub distortion: Distortion,
+    /// `None` of a panorama, which has no focal lengths either.
+    pub distortion: Option<Distortion>,
     /// Width and height, px; `None` for those of the picture.
     pub size: Option<[usize; 2]>,
 }
 
 impl Optics {
-    fn camera(&self, [width, height]: [usize; 2], camera_from_world: CameraFromWorld) -> Camera {
+    fn panorama(size: Option<[usize; 2]>) -> Self {
+        Self { focal: [0.0; 2], centre: [0.0; 2], is_in_sides: true, distortion: None, size }
+    }
+
+    /// Of a panorama the front.
+    fn camera(
+        &self,
+        [width, height]: [usize; 2],
+        camera_from_world: CameraFromWorld,
+    ) -> (Camera, Option<PanoramaPart>) {
+        let Some(distortion) = self.distortion else {
+            let (front, camera) = PanoramaPart::front([width, height], camera_from_world);
+            return (camera, Some(front));
+        };
         let (w, h) = (width as f64, height as f64);
         let unit = if self.is_in_sides { w.max(h) } else { 1.0 };
         let [fx, fy] = self.focal.map(|focal| unit * focal);
         let [cx, cy] = [0.5 * w + unit * self.centre[0], 0.5 * h + unit * self.centre[1]];
-        Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens: lens(self.distortion) }
+        let lens = lens(distortion);
+        (Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens }, None)
     }
 }
 
@@ -157,12 +172,14 @@ pub(in crate::dataset) fn read(
             Some(size) => size,
             None => codec::header(&image).map(|header| [header.width, header.height])?,
         };
+        let (camera, panorama) = optics.camera(size, camera_from_world);
         frame_of[index] = Some(source.frames.len() as u32);
         source.frames.push(Frame {
             name: name.replace('\\', "/"),
             image,
             mask: None,
-            camera: optics.camera(size, camera_from_world),
+            camera,
+            panorama,
             is_sized: optics.size.is_some(),
             header: None,
             split,

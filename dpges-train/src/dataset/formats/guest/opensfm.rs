@@ -97,11 +97,14 @@ fn optics(path: &Path, id: &str, camera: &HashMap<String, Value>) -> Result<Opti
     // what is no number is refused with the camera
     let number = |name: &str| camera.get(name).map_or(0.0, |value| value.as_f64().unwrap_or(f64::NAN));
     let model = camera.get("projection_type").and_then(Value::as_str).unwrap_or("perspective");
+    let size = ["width", "height"].map(|side| number(side) as usize);
+    let size = Some(size).filter(|sides| sides.iter().all(|&side| side > 0));
     let projection = match model {
         "perspective" | "brown" | "radial" | "simple_radial" => Projection::Perspective,
         "fisheye" | "fisheye_opencv" | "fisheye62" => Projection::Equidistant,
+        "spherical" | "equirectangular" => return Ok(Optics::panorama(size)),
         _ => {
-            let reason = "only perspective and equidistant ones are read, no panoramas";
+            let reason = "only perspective and equidistant ones and panoramas are read";
             return Err(refused(path, format!("camera `{id}`"), model, reason));
         }
     };
@@ -114,7 +117,5 @@ fn optics(path: &Path, id: &str, camera: &HashMap<String, Value>) -> Result<Opti
         tangential: ["p1", "p2"].map(number),
         ..Distortion::new(projection)
     };
-    let size = ["width", "height"].map(|side| number(side) as usize);
-    let size = Some(size).filter(|sides| sides.iter().all(|&side| side > 0));
-    Ok(Optics { focal, centre: ["c_x", "c_y"].map(number), is_in_sides: true, distortion, size })
+    Ok(Optics { focal, centre: ["c_x", "c_y"].map(number), is_in_sides: true, distortion: Some(distortion), size })
 }

@@ -27,7 +27,7 @@ fn optics(focal_mm: f64, centre: [f64; 2], [k1, k2, k3, k4, t1, t2]: [f64; 6]) -
         tangential: [t2, t1],
         ..Distortion::new(Projection::Perspective)
     };
-    Optics { focal: [focal_mm / FILM_MM; 2], centre, is_in_sides: true, distortion, size: None }
+    Optics { focal: [focal_mm / FILM_MM; 2], centre, is_in_sides: true, distortion: Some(distortion), size: None }
 }
 
 /// The cameras of a CSV file.

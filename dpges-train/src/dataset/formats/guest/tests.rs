@@ -339,6 +339,33 @@ fn a_model_of_colmap_comes_first_unless_another_file_is_named() {
 }
 
 #[test]
+fn panoramas_have_their_middle_ahead() {
+    let sensor = "<sensor id='0' label='A' type='spherical'><resolution width='32' height='16'/></sensor>";
+    let xml = metashape(sensor, &format!("<camera sensor_id='0' label='a'>{IDENTITY}</camera>"));
+    let json = |kind: &str| {
+        format!(
+            r#"[{{"cameras": {{"c": {{"projection_type": "{kind}", "width": 32, "height": 16}}}},
+            "shots": {{"a.png": {{"rotation": [0, 0, 0], "translation": [0, 0, 0], "camera": "c"}}}}}}]"#
+        )
+    };
+    let files =
+        [("c.xml", xml), ("reconstruction.json", json("spherical")), ("reconstruction.json", json("equirectangular"))];
+    for (name, content) in files {
+        let folder = dataset(&[(name, &content)]);
+        write_png(&folder.path().join("images/a.png"), 32, 16, [9; 3]);
+        let data = load(folder.path(), &alone()).unwrap();
+        let names: Vec<&str> = data.train.iter().map(|view| view.name.as_str()).collect();
+        assert_eq!(names, ["a_back.png", "a_down.png", "a_front.png", "a_left.png", "a_right.png", "a_up.png"]);
+        let axes = [-DVec3::Z, DVec3::Y, DVec3::Z, -DVec3::X, DVec3::X, -DVec3::Y];
+        for (view, axis) in data.train.iter().zip(axes) {
+            let (x, y, depth) = view.camera.project(axis).unwrap();
+            let middle = 0.5 * view.camera.width as f64;
+            assert!((x - middle).abs() + (y - middle).abs() + (depth - 1.0).abs() < 1e-9, "{}", view.name);
+        }
+    }
+}
+
+#[test]
 fn wrong_files_are_refused_by_name() {
     let xml = metashape(FRAME, &format!("<camera sensor_id='0' label='a'>{IDENTITY}</camera>"));
     let (csv, xmp) = (format!("{COLUMNS}\n{ROW}\n"), sidecar());
@@ -352,7 +379,12 @@ fn wrong_files_are_refused_by_name() {
         ("c.xml", xml.replace("1 0 0 0 0 1 0 0", "1 0 0 0 0 1 0"), ["the transform of camera `a`", "16 numbers"]),
         ("c.xml", xml.replace("1 0 0 0 0 1 0 0", "1 0 0 0 0 2 0 0"), ["the rotation of camera `a`", "without shear"]),
         ("c.xml", xml.replace("sensor_id='0'", "sensor_id='7'"), ["the sensor of camera `a` is `7`", "the id"]),
-        ("c.xml", xml.replace("frame", "spherical"), ["camera model spherical of sensor `A`", "panoramas"]),
+        ("c.xml", xml.replace("frame", "spherical"), ["view `a.png` is a panorama of 24x16 px", "twice as wide"]),
+        (
+            "c.xml",
+            xml.replace("frame", "cylindrical"),
+            ["camera model cylindrical of sensor `A`", "`spherical` are read"],
+        ),
         ("c.xml", xml.replace("<b1>", "<b2>9</b2><b1>"), ["sensor `A`", "no rectangles"]),
         ("c.xml", xml.replace("label='a'", "label='b'"), ["images/b", "1 of 1 photographs"]),
         ("c.csv", csv.replace(",f,", ",focal,"), ["the header is without f", "Internal/External"]),
@@ -363,7 +395,7 @@ fn wrong_files_are_refused_by_name() {
         ("a.xmp", xmp.replace("Ratio='1'", "Ratio='1.1'"), ["photograph `a`", "square pixels"]),
         ("a.xmp", xmp.replace("Position>", "Place>"), ["none of its 1 cameras", "align"]),
         ("r.json", json[..json.len() - 4].to_owned(), ["is not the JSON", "line 2"]),
-        ("r.json", json.replace("brown", "spherical"), ["camera model spherical of camera `c`", "panoramas"]),
+        ("r.json", json.replace("brown", "spherical"), ["view `a.png` is a panorama of 24x16 px", "twice as wide"]),
         ("r.json", json.replace("brown", "dual"), ["camera model dual of camera `c`", "only perspective"]),
         ("r.json", json.replace("focal_y", "f"), ["view `a.png`", "`fy` is 0"]),
         ("r.json", json.replace("0.1", r#""0.1""#), ["view `a.png`", "`lens`"]),

@@ -1,25 +1,13 @@
 //! The meaning of mouse, touchpad, touch screen and keys of egui for a view.
 
-use std::f64::consts::PI;
-
 use egui::{Event, InputState, Key, MouseWheelSource, MouseWheelUnit, PointerButton, Response, Ui};
 use glam::{DVec2, DVec3};
 
-use super::motion::Motion;
-use super::navigator::{Input, Mode};
+use crate::navigation::{Drag, Input, Keys, Mode, Motion};
 
-/// Approach of a notch of a wheel, as the natural logarithm of the factor.
-const NOTCH: f64 = 0.18;
 /// Points of a touchpad's scroll that count as a notch.
 const POINTS_PER_NOTCH: f64 = 50.0;
 const NOTCHES_PER_PAGE: f64 = 5.0;
-/// Speed of flying by keys, sizes of the scene per second.
-const WALK: f64 = 0.8;
-/// Speed of turning by keys, rad/s.
-const TURN: f64 = 1.2;
-const FASTER: f64 = 4.0;
-/// Angle of a drag over the height of the picture, rad.
-const HALF_TURN: f64 = PI;
 
 /// Gestures on the picture of `response`. Keys count only if `takes_keys`.
 pub fn gestures(ui: &Ui, response: &Response, mode: Mode, takes_keys: bool) -> Input {
@@ -33,8 +21,8 @@ pub fn gestures(ui: &Ui, response: &Response, mode: Mode, takes_keys: bool) -> I
     ui.input(|state| {
         if let Some(button) = dragged {
             let pans = button != PointerButton::Primary || state.modifiers.shift;
-            let looks = mode == Mode::Fly || state.modifiers.command;
-            input.drag = if pans { pan(drag) } else { turn(HALF_TURN * drag, looks) };
+            let turns = if state.modifiers.command { Drag::Look } else { mode.drag() };
+            input.drag = if pans { Drag::Pan } else { turns }.motion(drag);
             input.dragging = true;
         }
         if response.contains_pointer() {
@@ -49,14 +37,6 @@ pub fn gestures(ui: &Ui, response: &Response, mode: Mode, takes_keys: bool) -> I
 
 fn way(delta: egui::Vec2) -> DVec2 {
     DVec2::new(delta.x.into(), delta.y.into())
-}
-
-fn pan(heights: DVec2) -> Motion {
-    Motion { pan: heights, ..Motion::NONE }
-}
-
-fn turn(angles: DVec2, looks: bool) -> Motion {
-    if looks { Motion { look: angles, ..Motion::NONE } } else { Motion { orbit: angles, ..Motion::NONE } }
 }
 
 /// Wheels approach. Two fingers turn, with shift they pan; pinching approaches.
@@ -74,24 +54,20 @@ fn wheel(state: &InputState, mode: Mode, height: f64, input: &mut Input) {
             MouseWheelSource::Unknown => *unit == MouseWheelUnit::Point,
         };
         if fingers {
-            let heights = delta / height;
-            let turn = turn(HALF_TURN * heights, mode == Mode::Fly);
-            input.drag = input.drag + if modifiers.shift { pan(heights) } else { turn };
+            let drag = if modifiers.shift { Drag::Pan } else { mode.drag() };
+            input.drag = input.drag + drag.motion(delta / height);
         } else {
             let notches = match unit {
                 MouseWheelUnit::Line => delta.y,
                 MouseWheelUnit::Point => delta.y / POINTS_PER_NOTCH,
                 MouseWheelUnit::Page => delta.y * NOTCHES_PER_PAGE,
             };
-            input.push = input.push + Motion { approach: NOTCH * notches, ..Motion::NONE };
+            input.wheel(notches);
         }
     }
-    let zoom = f64::from(state.zoom_delta());
-    if zoom > 0.0 && zoom != 1.0 {
-        input.drag = input.drag + Motion { approach: zoom.ln(), ..Motion::NONE };
-    }
+    input.pinch(state.zoom_delta().into());
     if let Some(touch) = state.multi_touch() {
-        input.drag = input.drag + pan(way(touch.translation_delta) / height);
+        input.drag = input.drag + Drag::Pan.motion(way(touch.translation_delta) / height);
         input.dragging = true;
     }
 }
@@ -101,18 +77,24 @@ fn keys(state: &InputState, mode: Mode) -> Motion {
         return Motion::NONE;
     }
     let axis = |more, less| f64::from(i8::from(state.key_down(more)) - i8::from(state.key_down(less)));
-    let faster = if state.modifiers.shift { FASTER } else { 1.0 };
-    let walk = DVec3::new(axis(Key::D, Key::A), axis(Key::Q, Key::E), axis(Key::W, Key::S));
-    let angles = TURN * DVec2::new(axis(Key::ArrowRight, Key::ArrowLeft), axis(Key::ArrowDown, Key::ArrowUp));
-    faster * (turn(angles, mode == Mode::Fly) + Motion { walk: WALK * walk, ..Motion::NONE })
+    let keys = Keys {
+        walk: DVec3::new(axis(Key::D, Key::A), axis(Key::Q, Key::E), axis(Key::W, Key::S)),
+        turn: DVec2::new(axis(Key::ArrowRight, Key::ArrowLeft), axis(Key::ArrowDown, Key::ArrowUp)),
+        approach: 0.0,
+        faster: state.modifiers.shift,
+    };
+    keys.motion(mode)
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use egui::{Modifiers, TouchPhase, vec2};
     use egui_kittest::Harness;
 
     use super::*;
+    use crate::navigation::hands::{NOTCH, TURN, WALK};
 
     /// Shows a picture of 300 × 200 points and returns the last input and the sum of all drags.
     fn harness(mode: Mode) -> Harness<'static, (Input, Motion)> {

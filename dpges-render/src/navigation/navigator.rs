@@ -4,6 +4,7 @@ use dpges_core::camera::Camera;
 use glam::DVec3;
 
 use super::flight::Flight;
+use super::hands::{Input, Mode};
 use super::motion::Motion;
 use super::viewpoint::{Lens, Pose, Surroundings, Viewpoint};
 
@@ -16,27 +17,6 @@ const DRAG: f64 = 0.04;
 /// Longest step, s: a slow frame does not throw the view.
 const LONGEST_STEP: f64 = 0.2;
 
-/// The centre about which dragging turns.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Mode {
-    /// The focus.
-    #[default]
-    Orbit,
-    /// The eye.
-    Fly,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Input {
-    /// Way of the fingers or the mouse since the last frame; followed at once.
-    pub drag: Motion,
-    pub dragging: bool,
-    /// A push, as by a wheel: an amount that is covered smoothly.
-    pub push: Motion,
-    /// Motion per second that the keys ask for.
-    pub keys: Motion,
-}
-
 #[derive(Clone, Debug)]
 pub struct Navigator {
     viewpoint: Viewpoint,
@@ -47,12 +27,6 @@ pub struct Navigator {
     /// Per second.
     driven: Motion,
     flight: Option<Flight>,
-}
-
-impl Input {
-    pub fn is_active(&self) -> bool {
-        self.drag != Motion::NONE || self.push != Motion::NONE || self.keys != Motion::NONE
-    }
 }
 
 impl Navigator {
@@ -96,7 +70,8 @@ impl Navigator {
         self.flight.is_some()
     }
 
-    fn stop(&mut self) {
+    /// Stands still where the view is.
+    pub fn stop(&mut self) {
         self.flight = None;
         self.thrown = Motion::NONE;
         self.driven = Motion::NONE;
@@ -125,7 +100,8 @@ impl Navigator {
             let left = (-step / COASTING).exp();
             let way = COASTING * (1.0 - left) * self.thrown;
             self.thrown = left * self.thrown;
-            way
+            // touchpads scroll and pinch without holding the view
+            input.drag + way
         };
         let fresh = 1.0 - (-step / KEYS).exp();
         self.driven = (1.0 - fresh) * self.driven + fresh * input.keys;
@@ -186,6 +162,16 @@ mod tests {
         advance(&mut navigator, &drag(0.02), 0.016, 10);
         let turned = (heading(&navigator) - before).rem_euclid(std::f64::consts::TAU);
         assert!((turned - (std::f64::consts::TAU - 0.2)).abs() < 1e-9, "{turned}");
+    }
+
+    #[test]
+    fn a_touchpad_moves_the_view_without_holding_it() {
+        let mut navigator = navigator();
+        let before = navigator.viewpoint().focus_distance;
+        let mut input = Input::default();
+        input.pinch(2.0);
+        assert!(!navigator.advance(&input, 0.016), "nothing goes on");
+        assert!((navigator.viewpoint().focus_distance - 0.5 * before).abs() < 1e-9);
     }
 
     #[test]
