@@ -148,13 +148,6 @@ impl Camera {
         Self { fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy, width, height, ..*self }
     }
 
-    /// The same camera in a world whose coordinates are `factor` times as large.
-    pub fn scaled(&self, factor: f64) -> Self {
-        let CameraFromWorld { rotation, translation } = self.camera_from_world;
-        let camera_from_world = CameraFromWorld { rotation, translation: factor * translation };
-        Self { camera_from_world, near: factor * self.near, ..*self }
-    }
-
     /// Depth of a world point, world units.
     pub fn depth(&self, world: DVec3) -> f64 {
         let p = self.in_camera(world);
@@ -248,17 +241,6 @@ mod tests {
         let camera_from_world = CameraFromWorld::look_at(DVec3::new(1.0, -3.0, 2.0), DVec3::ZERO, DVec3::Z);
         let (fx, fy, cx, cy) = (60.0, 70.0, 20.0, 11.0);
         Camera { camera_from_world, fx, fy, cx, cy, width: 48, height: 32, near: 0.01, lens: None }
-    }
-
-    #[test]
-    fn a_larger_world_looks_the_same() {
-        let pose = CameraFromWorld::look_at(DVec3::new(1.0, 2.0, -4.0), DVec3::ZERO, DVec3::NEG_Y);
-        let camera = Camera::pinhole(pose, 100.0, [64, 48], 0.5);
-        let (point, scaled) = (DVec3::new(0.25, -0.5, 1.0), camera.scaled(4.0));
-        let [(x, y, depth), (scaled_x, scaled_y, scaled_depth)] =
-            [camera.project(point).unwrap(), scaled.project(4.0 * point).unwrap()];
-        assert!((x - scaled_x).abs() + (y - scaled_y).abs() < 1e-9);
-        assert!((scaled_depth - 4.0 * depth).abs() < 1e-9 && scaled.near == 2.0);
     }
 
     #[test]

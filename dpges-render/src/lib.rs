@@ -38,7 +38,7 @@
 //! | pollster | waiting for a device without a window |
 //! | serde, serde_json | files of camera paths |
 //! | thiserror | errors |
-//! | zstd, flate2, serde-ply, base64, percent-encoding, fast-surface-nets, rayon | feature `export`: the formats, the surface of a mesh |
+//! | zstd, flate2, zip, image, serde-ply, base64, percent-encoding, fast-surface-nets, rayon | feature `export`: the formats, the surface of a mesh |
 //! | ureq | feature `http`: cells of scenes in levels of detail from web servers |
 //! | eframe, egui, egui_plot, rfd, image | feature `viewer`: the window, its graph, dialogs, screenshots |
 //! | egui_kittest, gltf-json, libtest-mimic, safetensors, tempfile, approx | tests |

@@ -26,7 +26,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 pub use colour_model::{ColourModel, SH_C0};
-pub use compressed::Quality;
+pub use compressed::{Quality, along_morton_curve};
 pub use data::{ColourData, GaussianData, SceneData, SurfelData};
 pub use environment::EnvironmentData;
 pub use peeling::{Footprint, Peeling};

@@ -48,6 +48,20 @@ impl SplatCloud {
         self.harmonics[row * width..(row + 1) * width].as_chunks::<3>().0
     }
 
+    /// The splats of `rows`, in their order.
+    #[must_use]
+    pub fn select(&self, rows: &[usize]) -> Self {
+        Self {
+            positions: rows.iter().map(|&row| self.positions[row]).collect(),
+            quaternions: rows.iter().map(|&row| self.quaternions[row]).collect(),
+            log_scales: rows.iter().map(|&row| self.log_scales[row]).collect(),
+            opacities: rows.iter().map(|&row| self.opacities[row]).collect(),
+            degree: self.degree,
+            harmonics: rows.iter().flat_map(|&row| self.harmonics_of(row).as_flattened()).copied().collect(),
+            info: self.info.clone(),
+        }
+    }
+
     /// The cloud as a scene of [`Rendering::Ellipsoids`] or discs, which our own sorted blending renders.
     pub fn to_scene(&self) -> SceneData {
         let rendering = if self.info.rendering == Rendering::Discs { Rendering::Discs } else { Rendering::Ellipsoids };

@@ -1,5 +1,5 @@
-//! Files of other programs: a scene as [splats](SplatCloud) that are sorted and blended (PLY, SPZ, glTF), written and
-//! [read](open()), or as a [`mesh`] (PLY, glTF).
+//! Files of other programs: a scene as [splats](SplatCloud) that are sorted and blended (PLY, SPZ, SOG, glTF, OpenUSD), written and,
+//! OpenUSD aside, [read](open()), or as a [`mesh`] (PLY, glTF).
 //!
 //! Splats are an approximation: see [`flatten`](mod@flatten). The [`guide`](crate::guide) says what each format keeps.
 //!
@@ -13,6 +13,7 @@
 //! # }
 //! ```
 
+mod archive;
 mod cloud;
 mod error;
 pub mod flatten;
@@ -23,11 +24,13 @@ pub mod mesh;
 mod notes;
 mod open;
 mod read_ply;
+pub mod sog;
 mod splat_glb;
 mod splat_ply;
 #[cfg(test)]
 mod splat_transform;
 pub mod spz;
+mod usd;
 
 pub use cloud::SplatCloud;
 pub use error::ExportError;
@@ -36,6 +39,7 @@ pub use harmonics::{MAX_DEGREE, coefficient_count, to_harmonics};
 pub use open::{Opened, open, read_splats};
 pub use splat_glb::to_glb;
 pub use splat_ply::to_ply;
+pub use usd::{to_usda, to_usdz};
 
 use dpges_core::scene::SceneInfo;
 

@@ -7,13 +7,13 @@ use dpges_core::{Error, Result};
 
 use super::harmonics::MAX_DEGREE;
 use super::read_ply::read_ply;
-use super::{splat_glb, spz};
+use super::{sog, splat_glb, spz};
 use crate::path::Extent;
 
 /// Near plane of splats of which nothing is known, over the radius around most of them.
 const NEAR: f64 = 0.01;
 
-const SPLATS: &str = "of splats, PLY, SPZ and glTF are read: splat-transform makes them of others";
+const SPLATS: &str = "of splats, PLY, SPZ, SOG and glTF are read: splat-transform makes them of others";
 
 /// A scene from a file.
 #[derive(Clone, Debug)]
@@ -26,7 +26,7 @@ pub struct Opened {
     pub left_out: Vec<String>,
 }
 
-/// Reads a scene file, or splats in PLY, SPZ or glTF.
+/// Reads a scene file, or splats in PLY, SPZ, SOG or glTF.
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::SceneFile`] names the path and the reason.
@@ -52,11 +52,12 @@ pub fn open(path: &Path) -> Result<Opened> {
     }
 }
 
-/// The scene of splats in the bytes of a file; `None` if they are no splats in PLY, SPZ or glTF. glTF may name files in `folder`.
+/// The scene of splats in the bytes of a file; `None` if they are no splats in PLY, SPZ, SOG or glTF. glTF may name files in `folder`.
 pub fn read_splats(bytes: &[u8], folder: &Path) -> Option<std::result::Result<Opened, String>> {
     let read = match bytes {
         [b'p', b'l', b'y', b'\n' | b'\r', ..] => read_ply(bytes),
         [0x1f, 0x8b, ..] | [b'N', b'G', b'S', b'P', ..] => spz::read(bytes),
+        [b'P', b'K', 3, 4, ..] => sog::read(bytes),
         [b'g', b'l', b'T', b'F', ..] | [b'{', ..] => splat_glb::read(bytes, folder),
         _ => return None,
     };
@@ -79,7 +80,10 @@ pub fn read_splats(bytes: &[u8], folder: &Path) -> Option<std::result::Result<Op
 
 #[cfg(test)]
 mod tests {
+    use dpges_core::scene::along_morton_curve;
+
     use super::super::cloud::tests::sample;
+    use super::super::sog::to_sog;
     use super::super::spz::{SpzVersion, to_spz};
     use super::super::{Coordinates, to_glb, to_ply};
     use super::*;
@@ -87,6 +91,7 @@ mod tests {
     #[test]
     fn exports_come_back_as_the_scenes_they_were() {
         let mut cloud = sample(50, 2);
+        cloud = cloud.select(&along_morton_curve(cloud.positions.as_flattened()));
         let folder = tempfile::tempdir().unwrap();
         for up in [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [0.6, 0.0, 0.8]] {
             cloud.info.up = Some(up);
@@ -96,6 +101,7 @@ mod tests {
                 ("a.glb", to_glb(&cloud).unwrap(), 1e-5),
                 ("a.spz", to_spz(&cloud, SpzVersion::Four).unwrap(), 1e-5),
                 ("b.spz", to_spz(&cloud, SpzVersion::Three).unwrap(), 1e-5),
+                ("a.sog", to_sog(&cloud).unwrap(), 1e-4),
             ] {
                 let file = folder.path().join(name);
                 std::fs::write(&file, bytes).unwrap();
@@ -108,7 +114,7 @@ mod tests {
         let file = folder.path().join("c.ksplat");
         std::fs::write(&file, [0; 4096]).unwrap();
         let error = open(&file).unwrap_err().to_string();
-        assert!(error.contains("c.ksplat") && error.contains("PLY, SPZ and glTF"), "{error}");
+        assert!(error.contains("c.ksplat") && error.contains("PLY, SPZ, SOG and glTF"), "{error}");
         let file = folder.path().join("c.ply");
         std::fs::write(&file, "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n").unwrap();
         let error = open(&file).unwrap_err().to_string();

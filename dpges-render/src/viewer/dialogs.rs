@@ -40,7 +40,7 @@ impl Dialogs {
         let dialog = rfd::AsyncFileDialog::new();
         let question: std::pin::Pin<Box<dyn Future<Output = Option<rfd::FileHandle>> + Send>> = match purpose {
             Purpose::OpenScene => {
-                Box::pin(dialog.add_filter("scenes", &["safetensors", "ply", "spz", "glb", "gltf"]).pick_file())
+                Box::pin(dialog.add_filter("scenes", &["safetensors", "ply", "spz", "sog", "glb", "gltf"]).pick_file())
             }
             Purpose::OpenRun => Box::pin(dialog.pick_folder()),
             Purpose::LoadPath => Box::pin(dialog.add_filter("camera paths", &["json"]).pick_file()),

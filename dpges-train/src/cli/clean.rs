@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use clap::Args;
 use dpges_train::dataset::block::Bounds;
 use dpges_train::eval::simplify::clean::{Report, Rules, clean, size};
-use dpges_train::eval::simplify::consolidate::Fewer;
 use dpges_train::run::folder::hold_file;
 
 use super::compress::refuse_same_file;
@@ -33,9 +32,6 @@ pub struct CleanArgs {
     /// Remove all of which a scale (standard deviation) is larger, world units; `dpges info` prints percentiles
     #[arg(long, value_name = "SIZE", allow_hyphen_values = true, value_parser = size)]
     largest: Option<f64>,
-    /// Then keep the N primitives, or the share, that contribute most, and train them 400 steps to look like all did
-    #[arg(long, value_name = "N|N%", allow_hyphen_values = true, conflicts_with = "dry_run")]
-    consolidate: Option<Fewer>,
     #[command(flatten)]
     views: ViewArgs,
     #[command(flatten)]
@@ -50,7 +46,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
     let _held = (out.map(hold_file).transpose()?, hold_report(args.json.as_deref())?);
     let mut scene = Scene::load(&args.scene)?;
     out.map_or(Ok(()), |out| refuse_same_file(out, &scene))?;
-    let rules = Rules { bounds: args.bounds, largest: args.largest, fewer: args.consolidate };
+    let rules = Rules { bounds: args.bounds, largest: args.largest };
     let print = |report: &Report, unknown: Option<&str>| {
         print_report(args.json.as_deref(), report, &table(&report.rows(unknown)))
     };

@@ -28,7 +28,7 @@ const DECIDING_VIEWS: usize = 32;
 #[derive(Debug, Args)]
 #[command(mut_arg("split", |split| split.help("Which views [default: test; with a largest loss validation, or train]")))]
 pub struct CompressArgs {
-    /// Scene file, splats (PLY, SPZ, glTF) or folder of a run
+    /// Scene file, splats (PLY, SPZ, SOG, glTF) or folder of a run
     scene: PathBuf,
     /// File to write
     #[arg(long, value_name = "FILE")]
@@ -68,7 +68,7 @@ fn levels() -> impl TypedValueParser<Value = Quality> {
 
 pub fn run(args: &CompressArgs) -> Result<()> {
     let ending = args.out.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    if ["ply", "spz", "glb", "gltf"].contains(&&*ending) {
+    if ["ply", "spz", "sog", "glb", "gltf", "usda", "usdz"].contains(&&*ending) {
         let message = format!(
             "--out {} says .{ending}: a scene file is written; `dpges export` writes splats",
             args.out.display()

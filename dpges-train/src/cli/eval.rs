@@ -25,7 +25,7 @@ use super::{Result, hold_report, print_report, table};
 /// LPIPS without a network.
 #[derive(Debug, Args)]
 pub struct EvalArgs {
-    /// Scene file, splats (PLY, SPZ, glTF) or folder of a run
+    /// Scene file, splats (PLY, SPZ, SOG, glTF) or folder of a run
     scene: PathBuf,
     #[command(flatten)]
     views: ViewArgs,

@@ -15,6 +15,7 @@ use dpges_train::eval::export::format::{ExportFormat, Filter, Origin, filter_tex
 use dpges_train::eval::export::mesh::mesh;
 use dpges_train::eval::export::page::{self, PageArgs};
 use dpges_train::eval::export::splats::{SplatFormat, file, filter_of, is_changed, loss, splats};
+use dpges_train::eval::export::streamed;
 use dpges_train::lod::{self, CELL_PRIMITIVES};
 use dpges_train::run::folder::hold_file;
 use dpges_train::run::hold::Hold;
@@ -27,19 +28,19 @@ use super::{Failure, Result, print, table};
 const FIT_STEPS: usize = 300;
 const LOD_FIT_STEPS: usize = 100;
 
-/// Write a scene for other programs: splats (PLY, SPZ, glTF), a mesh (PLY, glTF), a page for browsers (HTML), or levels of
-/// detail for scenes larger than the memory of a viewer
+/// Write a scene for other programs: splats (PLY, SPZ, SOG, glTF, OpenUSD), a mesh (PLY, glTF), a page for browsers (HTML), or
+/// levels of detail for scenes larger than the memory of a viewer
 ///
 /// Splats are an approximation. If the dataset is at hand, the PSNR of its held-out views is printed before and after.
 /// A mesh is made of the surfels, seen from the training views.
 #[derive(Debug, Args)]
 pub struct ExportArgs {
-    /// Scene file, splats (PLY, SPZ, glTF) or folder of a run
+    /// Scene file, splats (PLY, SPZ, SOG, glTF) or folder of a run
     scene: PathBuf,
     /// Kind of file
     #[arg(long, value_enum)]
     format: ExportFormat,
-    /// File to write, or folder of html and lod
+    /// File to write, or folder of sog-lod, html and lod
     #[arg(long, value_name = "PATH")]
     out: PathBuf,
     #[command(flatten)]
@@ -58,7 +59,7 @@ pub struct ExportArgs {
     /// scene itself [default: 100 if the dataset is at hand, or else 0]
     #[arg(long, value_name = "STEPS")]
     fit: Option<usize>,
-    /// Primitives of a cell of lod, at most: what is loaded at a time
+    /// Primitives of a cell of lod and sog-lod, at most: what is loaded at a time
     #[arg(long, value_name = "N", default_value_t = CELL_PRIMITIVES, value_parser = cell_primitives)]
     cell_primitives: usize,
     /// Distance between the voxels that a mesh is made of, world units [default: one and a half pixels at the surface, or
@@ -83,7 +84,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
     args.page.check(args.format, &args.out).map_err(Failure::Usage)?;
     let _held = match args.format {
         ExportFormat::Html if !args.page.single_file => Some(Hold::of_folder(&args.out)?),
-        ExportFormat::Lod => args.out.parent().map(make_folder).transpose()?.and(None),
+        ExportFormat::Lod | ExportFormat::SogLod => args.out.parent().map(make_folder).transpose()?.and(None),
         _ => hold_file(&args.out)?,
     };
     let mut scene = Scene::load(&args.scene)?;
@@ -101,7 +102,6 @@ pub fn run(args: &ExportArgs) -> Result<()> {
         data => data.map_err(Failure::from),
     };
     let coordinates = args.coordinates.of(args.format, &scene.data.info).map_err(Failure::Usage)?;
-    let factor = args.coordinates.factor(args.format, &scene.data.info).map_err(Failure::Usage)?;
     if args.format == ExportFormat::Lod {
         return args.lod(scene.data, data.ok());
     }
@@ -111,8 +111,8 @@ pub fn run(args: &ExportArgs) -> Result<()> {
     };
     watched(device, || {
         print(&table(&match args.format.of_splats() {
-            Some(format) => args.splats(format, (coordinates, factor), &scene.data, data, device)?,
-            None => args.mesh((coordinates, factor), &scene.data, data?, device)?,
+            Some(format) => args.splats(format, coordinates, &scene.data, data, device)?,
+            None => args.mesh(coordinates, &scene.data, data?, device)?,
         }))
     })
 }
@@ -121,11 +121,14 @@ impl ExportArgs {
     fn splats(
         &self,
         format: SplatFormat,
-        (coordinates, factor): (Coordinates, f64),
+        coordinates: Coordinates,
         scene: &SceneData,
         data: Result<(Source, Dataset)>,
         device: DeviceName,
     ) -> Result<Rows> {
+        if self.format == ExportFormat::SogLod {
+            streamed::check(scene.info.rendering, &self.out)?;
+        }
         let device = device.open()?;
         let peeled = scene.info.rendering == Rendering::Peeled;
         let filter = self.filter.map_or(filter_of(scene), Filter::filter);
@@ -136,13 +139,16 @@ impl ExportArgs {
             Err(failure) if steps > 0 => return Err(Failure::Usage(format!("--fit: {}", failure.text()))),
             Err(_) => &[],
         };
-        let cloud = splats(scene, self.degree.into(), filter, steps, views, &device)?;
-        let count = cloud.len();
-        let bytes = file(cloud, format, (coordinates, factor))?;
-        let mut rows = self.write(&bytes)?;
+        let of = |scene: &SceneData| splats(scene, self.degree.into(), filter, steps, views, &device);
+        let cloud = of(scene)?;
+        let bytes = file(&cloud, format, coordinates)?;
+        let mut rows = match self.format {
+            ExportFormat::SogLod => streamed::write(scene, cloud.clone(), of, self.cell_primitives, &self.out)?,
+            _ => self.write(&bytes)?,
+        };
         let counts = format!("{} surfels and {} Gaussians", scene.surfels.len(), scene.gaussians.len());
-        rows.push(("splats", format!("{count} of {counts}")));
-        rows.extend(place_rows(&scene.info.scaled(factor), coordinates, format == SplatFormat::Ply));
+        rows.push(("splats", format!("{} of {counts}", cloud.len())));
+        rows.extend(place_rows(&scene.info, coordinates, self.format));
         rows.push(("filter", filter_text(filter).to_owned()));
         if peeled {
             let text = "approximation: sorted splats cannot express peeled surfels and order-free Gaussians";
@@ -159,7 +165,7 @@ impl ExportArgs {
             }
             Ok((_, dataset)) => {
                 let views = split.of(dataset);
-                let [before, after] = loss(scene, &bytes, views, &device)?;
+                let [before, after] = loss(scene, &cloud, format, &bytes, views, &device)?;
                 let of = match split {
                     Split::Test => "held-out",
                     Split::Train => "training",
@@ -197,18 +203,17 @@ impl ExportArgs {
 
     fn mesh(
         &self,
-        (coordinates, factor): (Coordinates, f64),
+        coordinates: Coordinates,
         scene: &SceneData,
         (_, dataset): (Source, Dataset),
         device: DeviceName,
     ) -> Result<Rows> {
         let (mesh, voxel) = mesh(scene, &dataset.train, self.voxel, &device.open()?)?;
-        let (is_ply, info) = (self.format == ExportFormat::MeshPly, &scene.info.scaled(factor));
-        let mesh = if is_ply { mesh.scaled(factor) } else { mesh };
-        let mut rows = self.write(&if is_ply { mesh.to_ply(info, coordinates) } else { mesh.to_glb(&scene.info)? })?;
+        let (is_ply, info) = (self.format == ExportFormat::MeshPly, &scene.info);
+        let mut rows = self.write(&if is_ply { mesh.to_ply(info, coordinates) } else { mesh.to_glb(info)? })?;
         rows.push(("mesh", format!("{} vertices, {} triangles", mesh.positions.len(), mesh.triangles.len())));
         rows.push(("voxel", format!("{voxel:.4e} world units, {} training views", dataset.train.len())));
-        rows.extend(place_rows(info, coordinates, is_ply));
+        rows.extend(place_rows(info, coordinates, self.format));
         rows.push(("note", "surfels alone: what Gaussians draw is missing".into()));
         Ok(rows)
     }

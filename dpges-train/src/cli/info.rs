@@ -13,7 +13,7 @@ use super::{Result, print, print_json, table};
 /// Describe a scene: counts, size, colour model, rendering, extent, percentiles; or the levels of one in levels of detail
 #[derive(Debug, Args)]
 pub struct InfoArgs {
-    /// Scene file, splats (PLY, SPZ, glTF), folder of a run, or folder of levels of detail
+    /// Scene file, splats (PLY, SPZ, SOG, glTF), folder of a run, or folder of levels of detail
     scene: PathBuf,
     /// Print JSON
     #[arg(long)]

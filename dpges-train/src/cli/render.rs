@@ -31,7 +31,7 @@ use super::{Failure, Result, device_choice, print};
 /// Write pictures of a scene: PNGs or a video, of the views of a dataset or along a camera path
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Scene file, splats (PLY, SPZ, glTF), folder of a run, or scene in levels of detail: its folder or address
+    /// Scene file, splats (PLY, SPZ, SOG, glTF), folder of a run, or scene in levels of detail: its folder or address
     scene: PathBuf,
     #[command(flatten)]
     levels: LevelsArgs,

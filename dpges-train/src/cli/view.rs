@@ -22,7 +22,7 @@ use super::levels::{LevelsArgs, load};
 /// Without SCENE a page says what can be done. F1 lists what mouse and keys do.
 #[derive(Debug, Args)]
 pub struct WindowArgs {
-    /// Scene file, splats (PLY, SPZ, glTF), folder of a run, or scene in levels of detail: its folder or address
+    /// Scene file, splats (PLY, SPZ, SOG, glTF), folder of a run, or scene in levels of detail: its folder or address
     scene: Option<PathBuf>,
     /// Folder of the dataset whose cameras and photographs are shown too, or `builtin`; a run knows its own
     #[arg(long, value_name = "DATASET", requires = "scene")]

@@ -5,13 +5,14 @@
 //! |---|---|
 //! | `tree` | the cells |
 //! | `merge`, `pairs`, `blob`, `colours` | half as many primitives: which become one, and what one |
-//! | `pictures` | by which a level [learns](crate::run::own_fit) to look like the scene |
+//! | `pictures`, `fit` | a level that learns to look like the scene |
 //! | `folder` | the files |
 //! | [`describe`] | what is in a folder |
 
 mod blob;
 mod colours;
 pub mod describe;
+mod fit;
 mod folder;
 mod merge;
 mod pairs;
@@ -35,7 +36,6 @@ use self::pictures::{Pictures, around};
 use crate::dataset::View;
 use crate::eval::evaluate;
 use crate::run::TrainError;
-use crate::run::own_fit::fit;
 use crate::run::scene::every_nth;
 
 /// Primitives of a cell, at most, unless it is given.
@@ -123,7 +123,7 @@ pub fn write(scene: SceneData, options: &Options, out: &Path) -> Result<Index, L
             let views = pictures.of(level);
             let few: Vec<View> = every_nth(views, MEASURED_VIEWS).cloned().collect();
             let psnr = |scene: &SceneData| Ok::<f64, LodError>(evaluate(scene, &few, device)?.psnr);
-            let fitted = fit(&base, views, *steps, device).map_err(|source| LodError::Fit { level, source })?;
+            let fitted = fit::fit(&base, views, *steps, device).map_err(|source| LodError::Fit { level, source })?;
             let [width, height] = [views[0].camera.width, views[0].camera.height];
             let (before, after) = (psnr(&base)?, psnr(&fitted)?);
             let kept = if after < before { ": left as it was" } else { "" };

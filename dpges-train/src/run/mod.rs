@@ -42,7 +42,6 @@ pub mod jobs;
 mod masked_tests;
 pub mod metrics_log;
 mod observer;
-pub mod own_fit;
 pub mod own_pictures;
 #[cfg(test)]
 mod peak_tests;

@@ -72,6 +72,7 @@ use super::{ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelDa
 use crate::error::{Error, Result};
 use crate::scene::atomic::write_atomically;
 
+pub use order::along_morton_curve;
 pub use quality::Quality;
 
 pub(super) const FORMAT: &str = "dpges-scene-compressed";
@@ -110,9 +111,9 @@ impl SceneData {
         let model = self.info.colour_model;
         let layout = Layout::new(self.surfels.len(), self.gaussians.len(), *quality);
         let mut stored = Vec::new();
-        let surfels = self.surfels.select(&order::along_morton_curve(&self.surfels.positions));
+        let surfels = self.surfels.select(&along_morton_curve(&self.surfels.positions));
         store(&surfels, surfels.len(), model, &layout, &mut stored);
-        let gaussians = self.gaussians.select(&order::along_morton_curve(&self.gaussians.positions));
+        let gaussians = self.gaussians.select(&along_morton_curve(&self.gaussians.positions));
         store(&gaussians, gaussians.len(), model, &layout, &mut stored);
         let of_layout = serde_json::to_string(&layout).map_err(|error| wrong(error.to_string()))?;
         let more = Some((LAYOUT, of_layout));

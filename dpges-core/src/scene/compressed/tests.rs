@@ -32,8 +32,8 @@ fn refusal(bytes: &[u8]) -> String {
 /// `scene` in the order of its compressed file.
 fn ordered(scene: &SceneData) -> SceneData {
     SceneData {
-        surfels: scene.surfels.select(&order::along_morton_curve(&scene.surfels.positions)),
-        gaussians: scene.gaussians.select(&order::along_morton_curve(&scene.gaussians.positions)),
+        surfels: scene.surfels.select(&along_morton_curve(&scene.surfels.positions)),
+        gaussians: scene.gaussians.select(&along_morton_curve(&scene.gaussians.positions)),
         ..scene.clone()
     }
 }

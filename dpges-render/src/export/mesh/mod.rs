@@ -22,12 +22,3 @@ pub struct TriangleMesh {
     /// `[F]` vertices, counter-clockwise for those who see the front.
     pub triangles: Vec<[u32; 3]>,
 }
-
-impl TriangleMesh {
-    /// The mesh in coordinates that are `factor` times as large.
-    #[must_use]
-    pub fn scaled(mut self, factor: f64) -> Self {
-        self.positions.as_flattened_mut().iter_mut().for_each(|x| *x = (factor * f64::from(*x)) as f32);
-        self
-    }
-}

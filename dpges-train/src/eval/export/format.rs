@@ -20,8 +20,16 @@ pub enum ExportFormat {
     Spz,
     /// Splats, quantised: SPZ version 3, for older readers
     Spz3,
+    /// Splats, quantised in pictures: SOG version 2, one file
+    Sog,
+    /// A folder for any web server: splats in levels of detail, Streamed SOG
+    SogLod,
     /// Splats in binary glTF with KHR_gaussian_splatting
     Glb,
+    /// Splats in OpenUSD, text
+    Usda,
+    /// Splats in OpenUSD, an archive
+    Usdz,
     /// Triangles of the surfels
     MeshPly,
     /// Triangles of the surfels in binary glTF
@@ -39,8 +47,6 @@ pub enum Origin {
     Scene,
     /// Those of the dataset, in 64 bits where they need them: ply and mesh-ply alone
     Dataset,
-    /// Those of the scene in metres, by the scale that `dpges scale` has stored. Files of glTF always are, if there is one
-    Metres,
 }
 
 /// The low-pass filter of the programs that show splats.
@@ -53,7 +59,22 @@ pub enum Filter {
 }
 
 /// Endings that say what is in a file.
-const ENDINGS: [&str; 10] = ["ply", "spz", "glb", "gltf", "sog", "splat", "ksplat", "obj", "safetensors", "html"];
+const ENDINGS: [&str; 14] = [
+    "ply",
+    "spz",
+    "glb",
+    "gltf",
+    "sog",
+    "splat",
+    "ksplat",
+    "usd",
+    "usda",
+    "usdc",
+    "usdz",
+    "obj",
+    "safetensors",
+    "html",
+];
 
 impl ExportFormat {
     /// `None` if it is not one of splats.
@@ -62,7 +83,10 @@ impl ExportFormat {
             Self::Ply => Some(SplatFormat::Ply),
             Self::Spz => Some(SplatFormat::Spz(SpzVersion::Four)),
             Self::Spz3 => Some(SplatFormat::Spz(SpzVersion::Three)),
+            Self::Sog | Self::SogLod => Some(SplatFormat::Sog),
             Self::Glb => Some(SplatFormat::Glb),
+            Self::Usda => Some(SplatFormat::Usda),
+            Self::Usdz => Some(SplatFormat::Usdz),
             Self::MeshPly | Self::MeshGlb | Self::Html | Self::Lod => None,
         }
     }
@@ -72,8 +96,11 @@ impl ExportFormat {
         match self {
             Self::Ply | Self::MeshPly => "ply",
             Self::Spz | Self::Spz3 => "spz",
+            Self::Sog => "sog",
             Self::Glb | Self::MeshGlb => "glb",
-            Self::Html | Self::Lod => "",
+            Self::Usda => "usda",
+            Self::Usdz => "usdz",
+            Self::SogLod | Self::Html | Self::Lod => "",
         }
     }
 
@@ -104,7 +131,7 @@ impl Origin {
         let farthest = info.offset.iter().fold(0.0, |far: f64, x| far.max(x.abs())) as f32;
         let wide = matches!(format, ExportFormat::Ply | ExportFormat::MeshPly);
         match self {
-            Self::Scene | Self::Metres => Ok(Coordinates::Scene),
+            Self::Scene => Ok(Coordinates::Scene),
             Self::Dataset if wide && farthest > 0.0 => Ok(Coordinates::Dataset),
             Self::Dataset if farthest == 0.0 => Ok(Coordinates::Scene),
             Self::Dataset => Err(format!(
@@ -112,28 +139,6 @@ impl Origin {
                  write ply or mesh-ply, or the coordinates of the scene, whose offset is in the file",
                 farthest.next_up() - farthest
             )),
-        }
-    }
-}
-
-impl Origin {
-    /// What coordinates of a scene of `info` are multiplied by.
-    ///
-    /// # Errors
-    /// A sentence if metres are asked for, and the scene has no scale or the format no place for it.
-    pub fn factor(self, format: ExportFormat, info: &SceneInfo) -> Result<f64, String> {
-        let is_gltf = matches!(format, ExportFormat::Glb | ExportFormat::MeshGlb);
-        match (self, info.metres_per_unit) {
-            (Self::Metres, _) if matches!(format, ExportFormat::Html | ExportFormat::Lod) => {
-                Err("--coordinates metres: this format holds the scene itself, which says how many metres a unit has"
-                    .to_owned())
-            }
-            (Self::Metres, None) => Err(
-                "--coordinates metres: nobody has said how long a world unit is; `dpges scale` stores it in the scene"
-                    .to_owned(),
-            ),
-            (Self::Metres, Some(metres)) => Ok(metres),
-            (Self::Scene | Self::Dataset, metres) => Ok(metres.filter(|_| is_gltf).unwrap_or(1.0)),
         }
     }
 }
@@ -156,14 +161,22 @@ pub const fn filter_text(filter: ScreenFilter) -> &'static str {
     }
 }
 
-/// Where a file has its scene: PLY files are not turned.
-pub fn place_rows(info: &SceneInfo, coordinates: Coordinates, is_ply: bool) -> Vec<(&'static str, String)> {
-    let (up, [x, y, z]) = (Up::of(info), info.offset);
-    let mut rows = vec![("up", format!("{up}, {}", if is_ply { "as in the scene" } else { "turned to y" }))];
-    let metres = |metres| if metres == 1.0 { "metres".to_owned() } else { format!("{} metres", four_digits(metres)) };
-    rows.push(("unit", info.metres_per_unit.map_or_else(|| "unknown: `dpges scale` sets it".to_owned(), metres)));
+/// Where a file has its scene, and its unit: PLY files are not turned, and those of glTF are in metres if it is known how long a
+/// world unit is.
+pub fn place_rows(info: &SceneInfo, coordinates: Coordinates, format: ExportFormat) -> Vec<(&'static str, String)> {
+    let keeps_axes =
+        matches!(format, ExportFormat::Ply | ExportFormat::MeshPly | ExportFormat::Sog | ExportFormat::SogLod);
+    let in_metres = matches!(format, ExportFormat::Glb | ExportFormat::MeshGlb) && info.metres_per_unit.is_some();
+    let (unit, factor) = match info.metres_per_unit {
+        None => ("unknown: `dpges scale` sets it".to_owned(), 1.0),
+        Some(metres) if in_metres => ("metres".to_owned(), metres),
+        Some(metres) => (format!("{} metres", four_digits(metres)), 1.0),
+    };
+    let (up, [x, y, z]) = (Up::of(info), info.scaled(factor).offset);
+    let mut rows =
+        vec![("up", format!("{up}, {}", if keeps_axes { "as in the scene" } else { "turned to y" })), ("unit", unit)];
     if coordinates == Coordinates::Scene && info.offset != [0.0; 3] {
-        let turned = if is_ply { "" } else { ", before they were turned" };
+        let turned = if keeps_axes { "" } else { ", before they were turned" };
         rows.push(("offset", format!("{x} {y} {z}: add it to positions to get those of the dataset{turned}")));
     }
     rows
@@ -180,27 +193,23 @@ mod tests {
         assert_eq!(refused(ExportFormat::MeshPly, "file.tmp"), None);
         assert!(refused(ExportFormat::Ply, "x.spz").unwrap().contains("--format ply writes a .ply file"));
         assert!(refused(ExportFormat::Html, "x.glb").unwrap().contains("a folder"));
+        assert!(refused(ExportFormat::Usdz, "x.usdc").unwrap().contains("--format usdz writes a .usdz file"));
         let far = SceneInfo { offset: [448_251.0, 5_411_933.0, 213.0], ..SceneInfo::default() };
         assert_eq!(Origin::Dataset.of(ExportFormat::Ply, &far), Ok(Coordinates::Dataset));
+        assert!(Origin::Dataset.of(ExportFormat::Usda, &far).is_err());
         assert!(Origin::Dataset.of(ExportFormat::Spz, &far).unwrap_err().contains("steps of 0.5"));
         assert_eq!(Origin::Dataset.of(ExportFormat::Glb, &SceneInfo::default()), Ok(Coordinates::Scene));
-        assert!(place_rows(&far, Coordinates::Scene, true)[2].1.contains("448251 5411933 213: add it"));
+        assert!(place_rows(&far, Coordinates::Scene, ExportFormat::Ply)[2].1.contains("448251 5411933 213: add it"));
     }
 
     #[test]
-    fn gltf_is_in_metres_where_the_scale_is_known_and_others_if_asked_to() {
-        let unknown = SceneInfo::default();
-        let known = SceneInfo { metres_per_unit: Some(0.25), ..unknown.clone() };
-        let factor = |origin: Origin, format| origin.factor(format, &known);
-        assert_eq!(
-            (factor(Origin::Scene, ExportFormat::Glb), factor(Origin::Scene, ExportFormat::Ply)),
-            (Ok(0.25), Ok(1.0))
+    fn units_are_those_of_the_file() {
+        let known = SceneInfo { metres_per_unit: Some(0.25), offset: [8.0; 3], ..SceneInfo::default() };
+        let rows = |format| place_rows(&known, Coordinates::Scene, format);
+        assert_eq!((&*rows(ExportFormat::Ply)[1].1, &*rows(ExportFormat::MeshGlb)[1].1), ("0.2500 metres", "metres"));
+        assert!(
+            rows(ExportFormat::Spz)[2].1.starts_with("8 8 8:") && rows(ExportFormat::Glb)[2].1.starts_with("2 2 2:")
         );
-        assert_eq!(factor(Origin::Metres, ExportFormat::Spz), Ok(0.25));
-        assert!(factor(Origin::Metres, ExportFormat::Lod).unwrap_err().contains("the scene itself"));
-        assert_eq!(Origin::Scene.factor(ExportFormat::MeshGlb, &unknown), Ok(1.0));
-        assert!(Origin::Metres.factor(ExportFormat::Ply, &unknown).unwrap_err().contains("dpges scale"));
-        let unit = |info: &SceneInfo| place_rows(info, Coordinates::Scene, true)[1].1.clone();
-        assert_eq!([unit(&known), unit(&known.scaled(0.25))], ["0.2500 metres", "metres"]);
+        assert!(place_rows(&SceneInfo::default(), Coordinates::Scene, ExportFormat::Glb)[1].1.contains("dpges scale"));
     }
 }

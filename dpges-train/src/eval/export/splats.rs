@@ -5,8 +5,11 @@ use std::path::Path;
 use burn::tensor::Device;
 use dpges_core::Result;
 use dpges_core::scene::{Rendering, SceneData, ScreenFilter};
+use dpges_render::export::sog::to_sog;
 use dpges_render::export::spz::{SpzVersion, to_spz};
-use dpges_render::export::{Coordinates, ExportError, MAX_DEGREE, SplatCloud, flatten, read_splats, to_glb, to_ply};
+use dpges_render::export::{
+    Coordinates, ExportError, MAX_DEGREE, SplatCloud, flatten, read_splats, to_glb, to_ply, to_usda, to_usdz,
+};
 
 use super::ExportFailure;
 use crate::dataset::View;
@@ -21,7 +24,10 @@ const REPORT_EVERY: usize = 50;
 pub enum SplatFormat {
     Ply,
     Spz(SpzVersion),
+    Sog,
     Glb,
+    Usda,
+    Usdz,
 }
 
 /// The filter of the programs that show splats of `scene`, unless it is given: that of blended Gaussians.
@@ -64,35 +70,40 @@ pub fn splats(
     Ok(flatten(&fitted, degree)?)
 }
 
-/// The bytes of a file of `cloud`, whose coordinates are multiplied by `factor`: glTF does so by itself. Only PLY has coordinates
-/// of the dataset.
+/// The bytes of a file of `cloud`. Only PLY has coordinates of the dataset.
 ///
 /// # Errors
 /// The errors of the format.
-pub fn file(
-    cloud: SplatCloud,
-    format: SplatFormat,
-    (coordinates, factor): (Coordinates, f64),
-) -> Result<Vec<u8>, ExportError> {
+pub fn file(cloud: &SplatCloud, format: SplatFormat, coordinates: Coordinates) -> Result<Vec<u8>, ExportError> {
     match format {
-        SplatFormat::Ply => Ok(to_ply(&cloud.scaled(factor), coordinates)),
-        SplatFormat::Glb => to_glb(&cloud),
-        SplatFormat::Spz(version) => to_spz(&cloud.scaled(factor), version),
+        SplatFormat::Ply => Ok(to_ply(cloud, coordinates)),
+        SplatFormat::Glb => to_glb(cloud),
+        SplatFormat::Spz(version) => to_spz(cloud, version),
+        SplatFormat::Sog => to_sog(cloud),
+        SplatFormat::Usda => Ok(to_usda(cloud).into_bytes()),
+        SplatFormat::Usdz => to_usdz(cloud),
     }
 }
 
-/// PSNR of `scene`, and of what the bytes of a file hold, mean over `views`, dB.
+/// PSNR of `scene`, and of what the `bytes` of a file of `cloud` hold, mean over `views`, dB. OpenUSD is not read again: it has
+/// every bit of the cloud.
 ///
 /// # Errors
 /// The errors of [`evaluate`]; [`ExportError::Malformed`] if the file cannot be read again.
-pub fn loss(scene: &SceneData, bytes: &[u8], views: &[View], device: &Device) -> Result<[f64; 2], ExportFailure> {
+pub fn loss(
+    scene: &SceneData,
+    cloud: &SplatCloud,
+    format: SplatFormat,
+    bytes: &[u8],
+    views: &[View],
+    device: &Device,
+) -> Result<[f64; 2], ExportFailure> {
     let malformed = |reason| ExportError::Malformed { format: "exported", reason };
-    let read = read_splats(bytes, Path::new("")).unwrap_or_else(|| Err("it holds no splats".to_owned()));
-    let held = read.map_err(malformed)?.scene;
-    let metres = [scene, &held].map(|scene| scene.info.metres_per_unit.unwrap_or(1.0));
-    let factor = metres[0] / metres[1];
-    let held = held.relocated(scene.info.offset.map(|x| factor * x));
-    let closer: Vec<View> =
-        views.iter().map(|view| View { camera: view.camera.scaled(factor), ..view.clone() }).collect();
-    Ok([evaluate(scene, views, device)?.psnr, evaluate(&held, &closer, device)?.psnr])
+    let read = || read_splats(bytes, Path::new("")).unwrap_or_else(|| Err("it holds no splats".to_owned()));
+    let held = match format {
+        SplatFormat::Usda | SplatFormat::Usdz => cloud.to_scene(),
+        _ => read().map_err(malformed)?.scene,
+    };
+    let held = held.relocated(scene.info.offset);
+    Ok([evaluate(scene, views, device)?.psnr, evaluate(&held, views, device)?.psnr])
 }

@@ -8,7 +8,6 @@ use dpges_core::scene::SceneData;
 use serde::Serialize;
 
 use super::Contributions;
-use super::consolidate::{Fewer, consolidate};
 use crate::dataset::block::Bounds;
 use crate::dataset::source::Source;
 use crate::dataset::{Dataset, Split, View};
@@ -17,7 +16,6 @@ use crate::eval::floaters::Votes;
 use crate::eval::pictures::save_png;
 use crate::eval::rendered::{Renderer, to_picture};
 use crate::eval::{Evaluation, evaluate};
-use crate::run::TrainError;
 
 const FLOATERS: &str = "floaters";
 /// Weights over the pixels of a view which together are less change no pixel by one of 256 levels.
@@ -28,10 +26,6 @@ const UNSEEN_PX: f64 = 1.0 / 255.0;
 pub enum CleanError {
     #[error("nothing would be left of the scene: is the box in its coordinates, and the size in its units?")]
     Nothing,
-    #[error("--consolidate learns from pictures at training cameras: name the dataset with --data")]
-    NoCameras,
-    #[error(transparent)]
-    Train(#[from] TrainError),
     #[error(transparent)]
     Core(#[from] dpges_core::Error),
 }
@@ -45,8 +39,6 @@ pub struct Rules {
     pub bounds: Option<Bounds>,
     /// The largest scale (standard deviation) that stays, world units.
     pub largest: Option<f64>,
-    /// How many primitives stay of those that are no waste.
-    pub fewer: Option<Fewer>,
 }
 
 /// Primitives that a rule removed, of those that the rules before it left.
@@ -146,17 +138,8 @@ pub fn clean(
     split: Split,
     out: Option<&Path>,
 ) -> Result<Report, CleanError> {
-    let Cleaned { scene: mut after, mut removed } =
+    let Cleaned { scene: after, removed } =
         Cleaned::new(scene.clone(), rules, known.map(|(_, dataset, device)| (dataset, device)))?;
-    if let Some(fewer) = rules.fewer {
-        let (_, dataset, device) = known.ok_or(CleanError::NoCameras)?;
-        let cameras: Vec<Camera> = dataset.train.iter().map(|view| view.camera).collect();
-        let fewer = consolidate(&after, fewer, &cameras, device)?;
-        let (surfels, gaussians) =
-            (after.surfels.len() - fewer.surfels.len(), after.gaussians.len() - fewer.gaussians.len());
-        removed.push(Removed { rule: "consolidated", surfels, gaussians });
-        after = fewer;
-    }
     let (surfels, gaussians) = (after.surfels.len(), after.gaussians.len());
     let (mut psnr, mut pictures) = (None, Vec::new());
     if let Some(out) = out {
@@ -282,13 +265,12 @@ mod tests {
     fn a_box_and_a_size_need_no_dataset() {
         let all = [([0.0, 0.0, 0.0], 0.1), ([2.0, 0.0, 0.0], 0.1), ([0.5, 0.5, 0.5], 3.0)];
         let bounds = Some("-1,-1,-1,1,1,1".parse().unwrap());
-        let cleaned =
-            Cleaned::new(scene(&all, &all[1..]), &Rules { bounds, largest: Some(1.0), fewer: None }, None).unwrap();
+        let cleaned = Cleaned::new(scene(&all, &all[1..]), &Rules { bounds, largest: Some(1.0) }, None).unwrap();
         assert_eq!(cleaned.removed, [removed("outside", 1, 1), removed("oversized", 1, 1)]);
         assert_eq!(cleaned.scene, scene(&all[..1], &[]), "the rest is as it was, and so is the scale");
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");
-        let tiny = Rules { bounds, largest: Some(0.01), fewer: None };
+        let tiny = Rules { bounds, largest: Some(0.01) };
         let nothing = clean(&scene(&[], &all), "a".as_ref(), &tiny, None, Split::Test, Some(&out));
         assert!(matches!(nothing, Err(CleanError::Nothing)) && !out.exists());
         for wrong in ["1,1,1,0,2,2", "0,0,0,1,1", "0,0,0,1,1,nan", "a", ""] {
@@ -297,7 +279,7 @@ mod tests {
         for wrong in ["0", "-1", "nan", "inf", "1m"] {
             assert!(size(wrong).unwrap_err().contains("no size"), "{wrong}");
         }
-        let rules = Rules { bounds: None, largest: None, fewer: None };
+        let rules = Rules { bounds: None, largest: None };
         assert!(Cleaned::new(scene(&all, &all), &rules, None).unwrap().removed.is_empty());
     }
 
@@ -308,7 +290,7 @@ mod tests {
         // before the wall, and behind it
         let gaussians = [([0.1, 0.0, -0.3], 0.1), ([0.0, 0.0, 2.0], 0.05)];
         let (device, dataset) = (device(), dataset());
-        let rules = Rules { bounds: None, largest: None, fewer: None };
+        let rules = Rules { bounds: None, largest: None };
         let cleaned = Cleaned::new(scene(&surfels, &gaussians), &rules, Some((&dataset, &device))).unwrap();
         assert_eq!(cleaned.removed, [removed("floaters", 1, 0), removed("unseen", 1, 1)]);
         assert_eq!(cleaned.scene, scene(&surfels[..1], &gaussians[..1]));
@@ -324,7 +306,7 @@ mod tests {
     fn blended_scenes_are_cleaned_too() {
         let mut blended = scene(&[], &[([0.0; 3], 0.3), ([0.0, 0.0, -9.0], 0.3)]);
         blended.info.rendering = Rendering::Ellipsoids;
-        let rules = Rules { bounds: None, largest: None, fewer: None };
+        let rules = Rules { bounds: None, largest: None };
         let (device, dataset) = (device(), dataset());
         let cleaned = Cleaned::new(blended.clone(), &rules, Some((&dataset, &device))).unwrap();
         assert_eq!(cleaned.removed, [removed("floaters", 0, 0), removed("unseen", 0, 1)]);
@@ -335,9 +317,9 @@ mod tests {
     fn the_view_that_changes_most_is_shown() {
         let folder = tempfile::tempdir().unwrap();
         let (device, dataset) = (device(), dataset());
-        let [full, empty] = [scene(&[([0.0; 3], 0.6)], &[]), scene(&[], &[])];
+        let [large, small] = [0.6, 0.1].map(|size| scene(&[([0.0; 3], size)], &[]));
         let out = folder.path().join("clean.safetensors");
-        let (psnr, files) = compare([&full, &empty], &dataset.train, &device, &out).unwrap();
+        let (psnr, files) = compare([&large, &small], &dataset.train, &device, &out).unwrap();
         assert!(psnr[0] != psnr[1], "{psnr:?}");
         assert_eq!(files, ["clean_before.png", "clean_after.png"].map(|name| folder.path().join(name)));
         let [before, after] = files.map(|file| std::fs::read(file).unwrap());

@@ -2,7 +2,6 @@
 //! primitives are waste.
 
 pub mod clean;
-pub mod consolidate;
 mod contribution;
 mod detail;
 

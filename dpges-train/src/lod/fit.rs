@@ -1,23 +1,21 @@
-//! A scene that learns to look like a larger one, of which it is a part or a coarser level.
+//! A level that learns to look like the whole scene in smaller pictures.
 
 use burn::tensor::Device;
+use dpges_core::scene::SceneData;
 use dpges_core::scene::schema::OpacityActivation;
-use dpges_core::scene::{Rendering, SceneData, SceneInfo};
 
-use super::own_pictures::{StepStage, config, dataset, last_stage};
-use super::{StepReport, TrainError};
 use crate::dataset::View;
+use crate::run::own_pictures::{StepStage, config, dataset, last_stage};
+use crate::run::{StepReport, TrainError};
 use crate::stage::{self, StepViews, begin_step};
 
-/// Trains the primitives of `scene` for `steps` steps on `views`, in the stage of its rendering. None comes or goes, each
+/// Trains the primitives of `scene`, a peeled one, for `steps` steps of the joint stage on `views`. None comes or goes, each
 /// stays in its row, and the environment stays as it is. The image alone is learnt from: at the learning rates of the default
 /// configuration, without the terms that shape a scene which is still to be found.
 pub fn fit(scene: &SceneData, views: &[View], steps: usize, device: &Device) -> Result<SceneData, TrainError> {
-    let mut config = config(scene, StepStage::of(scene.info.rendering));
+    let mut config = config(scene, StepStage::Joint);
     config.train.steps = steps;
-    if scene.info.rendering == Rendering::Peeled {
-        config.model.opacity = OpacityActivation::Linear;
-    }
+    config.model.opacity = OpacityActivation::Linear;
     config.optimizer.environment = 0.0;
     let train = &mut config.train;
     for term in [
@@ -38,12 +36,11 @@ pub fn fit(scene: &SceneData, views: &[View], steps: usize, device: &Device) -> 
         begun.learn(&mut *stage, &mut context)?.settle()?;
         context.completed_steps += 1;
     }
-    let weighted_sum = stage.scene().info.weighted_sum;
     let parameters = stage.parameters();
     Ok(SceneData {
         surfels: parameters.surfels.to_data(),
         gaussians: parameters.gaussians.to_data(),
-        info: SceneInfo { weighted_sum, ..scene.info.clone() },
+        info: scene.info.clone(),
         environment: scene.environment.clone(),
     })
 }
