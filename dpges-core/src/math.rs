@@ -1,23 +1,16 @@
 //! Three-vectors, matrices and rotations over either element type, and the derivative of a rotation
 //! with respect to its raw quaternion.
 
-use std::ops::{Add, Mul, Neg, Sub};
-
 use pulp::Simd;
 
 use crate::backend::lanes::Lanes;
-use crate::backend::number::Number;
+use crate::backend::number::{Arithmetic, Number};
 use crate::backend::real::Real;
 use crate::camera::{Camera, Lens};
 
 pub type V3<T> = [T; 3];
 /// Row-major.
 pub type M3<T> = [[T; 3]; 3];
-
-/// Numbers, or as many as a vector of the machine holds.
-pub trait Arithmetic: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self> {}
-
-impl<N: Copy + Add<Output = N> + Sub<Output = N> + Mul<Output = N> + Neg<Output = N>> Arithmetic for N {}
 
 #[inline(always)]
 pub fn dot<N: Arithmetic>(a: V3<N>, b: V3<N>) -> N {

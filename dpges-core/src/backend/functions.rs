@@ -2,7 +2,8 @@
 
 use pulp::Simd;
 
-use super::vectors::{MOST, Vectors};
+/// Most numbers in a vector: of 512 bits, in f32.
+pub const MOST: usize = 16;
 
 /// 1.5 · 2²³: added, it rounds to an integer and leaves that in the low bits.
 const ROUND: f32 = 12_582_912.0;
@@ -23,8 +24,8 @@ pub fn exp_nonpositive_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
 }
 
 #[inline(always)]
-pub fn exp_nonpositive_f64<S: Simd>(simd: S, vector: S::f64s) -> S::f64s {
-    one_by_one(simd, vector, f64::exp)
+pub fn exp_nonpositive_f64<S: Simd>(_: S, vector: S::f64s) -> S::f64s {
+    one_by_one::<S>(vector, f64::exp)
 }
 
 #[inline(always)]
@@ -41,8 +42,8 @@ pub fn ln_1p_share_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
 }
 
 #[inline(always)]
-pub fn ln_1p_share_f64<S: Simd>(simd: S, vector: S::f64s) -> S::f64s {
-    one_by_one(simd, vector, f64::ln_1p)
+pub fn ln_1p_share_f64<S: Simd>(_: S, vector: S::f64s) -> S::f64s {
+    one_by_one::<S>(vector, f64::ln_1p)
 }
 
 /// n + [`ROUND`] and e^r, with x = n ln 2 + r and |r| ≤ ln 2 / 2.
@@ -82,8 +83,8 @@ pub fn exp_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
 }
 
 #[inline(always)]
-pub fn exp_f64<S: Simd>(simd: S, vector: S::f64s) -> S::f64s {
-    one_by_one(simd, vector, f64::exp)
+pub fn exp_f64<S: Simd>(_: S, vector: S::f64s) -> S::f64s {
+    one_by_one::<S>(vector, f64::exp)
 }
 
 #[inline(always)]
@@ -120,8 +121,8 @@ pub fn ln_f32<S: Simd>(simd: S, vector: S::f32s) -> S::f32s {
 }
 
 #[inline(always)]
-pub fn ln_f64<S: Simd>(simd: S, vector: S::f64s) -> S::f64s {
-    one_by_one(simd, vector, f64::ln)
+pub fn ln_f64<S: Simd>(_: S, vector: S::f64s) -> S::f64s {
+    one_by_one::<S>(vector, f64::ln)
 }
 
 #[inline(always)]
@@ -130,11 +131,11 @@ pub fn sin_cos_f32<S: Simd>(simd: S, vector: S::f32s) -> (S::f32s, S::f32s) {
     let is_small = simd.less_than_f32s(simd.abs_f32s(vector), all(LARGEST_ANGLE));
     if simd.first_true_m32s(simd.not_m32s(is_small)) < S::F32_LANES {
         let [mut sines, mut cosines] = [[0.0; MOST]; 2];
-        f32::store_lanes(simd, &mut sines, vector);
+        S::as_mut_simd_f32s(&mut sines).0[0] = vector;
         for (sine, cosine) in sines.iter_mut().zip(&mut cosines) {
             (*sine, *cosine) = sine.sin_cos();
         }
-        return (f32::load_lanes(simd, &sines), f32::load_lanes(simd, &cosines));
+        return (S::as_simd_f32s(&sines).0[0], S::as_simd_f32s(&cosines).0[0]);
     }
     // x = n π/2 + r, |r| ≤ π/4
     let shifted = simd.mul_add_e_f32s(vector, all(std::f32::consts::FRAC_2_PI), all(ROUND));
@@ -172,15 +173,15 @@ pub fn sin_cos_f32<S: Simd>(simd: S, vector: S::f32s) -> (S::f32s, S::f32s) {
 }
 
 #[inline(always)]
-pub fn sin_cos_f64<S: Simd>(simd: S, vector: S::f64s) -> (S::f64s, S::f64s) {
-    (one_by_one(simd, vector, f64::sin), one_by_one(simd, vector, f64::cos))
+pub fn sin_cos_f64<S: Simd>(_: S, vector: S::f64s) -> (S::f64s, S::f64s) {
+    (one_by_one::<S>(vector, f64::sin), one_by_one::<S>(vector, f64::cos))
 }
 
 #[inline(always)]
-fn one_by_one<S: Simd>(simd: S, vector: S::f64s, function: impl Fn(f64) -> f64) -> S::f64s {
+fn one_by_one<S: Simd>(vector: S::f64s, function: impl Fn(f64) -> f64) -> S::f64s {
     let mut values = [0.0; MOST];
-    f64::store_lanes(simd, &mut values, vector);
-    f64::load_lanes(simd, &values.map(function))
+    S::as_mut_simd_f64s(&mut values).0[0] = vector;
+    S::as_simd_f64s(&values.map(function)).0[0]
 }
 
 #[cfg(test)]
@@ -200,10 +201,10 @@ mod tests {
         fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
             let mut out = [(); 4].map(|()| vec![0.0; self.0.len()]);
             for (at, values) in self.0.chunks_exact(S::F32_LANES).enumerate() {
-                let vector = f32::load_lanes(simd, values);
+                let vector = S::as_simd_f32s(values).0[0];
                 let (sine, cosine) = sin_cos_f32(simd, vector);
                 for (out, of) in out.iter_mut().zip([exp_f32(simd, vector), ln_f32(simd, vector), sine, cosine]) {
-                    f32::store_lanes(simd, &mut out[at * S::F32_LANES..][..S::F32_LANES], of);
+                    S::as_mut_simd_f32s(&mut out[at * S::F32_LANES..]).0[0] = of;
                 }
             }
             out

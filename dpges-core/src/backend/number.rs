@@ -1,13 +1,17 @@
 //! One number, or a vector of them: formulas that are the same for all primitives are written once, for both.
 
-use std::ops::{BitAnd, BitOr, Div};
+use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Sub};
 
 use pulp::Simd;
 
 use super::lanes::{Lanes, Mask};
 use super::real::Real;
 use super::vectors::MOST;
-use crate::math::Arithmetic;
+
+/// Numbers, or as many as a vector of the machine holds.
+pub trait Arithmetic: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Neg<Output = Self> {}
+
+impl<N: Copy + Add<Output = N> + Sub<Output = N> + Mul<Output = N> + Neg<Output = N>> Arithmetic for N {}
 
 /// A [`Real`], or [`Lanes`] of one.
 pub trait Number: Arithmetic + Div<Output = Self> {

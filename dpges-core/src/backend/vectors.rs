@@ -3,9 +3,7 @@
 use pulp::Simd;
 
 use super::functions;
-
-/// Most numbers in a vector: of 512 bits, in f32.
-pub const MOST: usize = 16;
+pub use super::functions::MOST;
 
 /// The vectors of a number. [`Lanes`](super::lanes::Lanes) has the same as operators.
 pub trait Vectors: Copy {

@@ -347,13 +347,10 @@ mod tests {
         for part in ["href=", "src=", "from ", "import ", "import("] {
             for (at, _) in html.match_indices(part) {
                 let rest = html[at + part.len()..].trim_start_matches(|c: char| c != '"' && c != '\n');
-                let told = &rest[..rest.len().min(40)];
-                assert!(
-                    !rest.starts_with("\"./") && !rest.starts_with("\"pkg") && !rest.contains(".css\""),
-                    "{part}{told}"
-                );
+                assert!(!rest.starts_with("\"./") && !rest.starts_with("\"pkg"), "{part} at byte {at}");
             }
         }
+        assert!(!html.contains(".css\""));
         // every script that begins also ends, and no text ends one early
         assert_eq!(html.matches("<script").count(), html.matches("</script>").count());
         assert!(html.contains(r#""<\/script><\!--""#) && html.trim_end().ends_with("</html>"));

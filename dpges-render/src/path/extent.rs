@@ -12,7 +12,7 @@ const SAMPLE: usize = 8192;
 const INSIDE: f64 = 0.8;
 /// Distance from a pixel within which primitives say how far it is, as a share of the picture's height.
 const AROUND: f64 = 0.04;
-/// Share of the primitives around a pixel that are nearer than what is seen there: the others lie behind it.
+/// Share of what is around a pixel that is nearer than what is seen there: the rest lies behind it.
 const IN_FRONT: f64 = 0.2;
 /// Height of the first view above the horizon, as a share of its distance.
 const ELEVATION: f64 = 0.35;
@@ -83,7 +83,15 @@ impl Extent {
             let (x, y, depth) = camera.project(point)?;
             ((x - x_px).hypot(y - y_px) <= reach_px).then_some(depth)
         });
-        let [depth] = percentiles(near_pixel.collect(), [IN_FRONT])?;
+        let mut depths: Vec<f64> = near_pixel.collect();
+        depths.sort_unstable_by(f64::total_cmp);
+        // around a pixel, a surface twice as far has four times as many primitives
+        let weight = |depth: &f64| depth.powi(-2);
+        let mut before = IN_FRONT * depths.iter().map(weight).sum::<f64>();
+        let depth = depths.into_iter().find(|depth| {
+            before -= weight(depth);
+            before <= 0.0
+        })?;
         Some(camera.unproject(x_px, y_px, depth))
     }
 }
@@ -93,6 +101,7 @@ mod tests {
     use glam::dvec3;
 
     use super::*;
+    use crate::fixtures::directions;
 
     fn ball() -> Vec<DVec3> {
         let point = |index: i32| {
@@ -141,11 +150,17 @@ mod tests {
         let camera = extent.overview(DVec3::Z, 0.01, [300, 200]);
         let distance = (camera.centre() - extent.centre).length();
         assert!((extent.depth_before(&camera) - distance).abs() < 0.2, "{distance}");
-        // the front of the ball, not its back
+    }
+
+    #[test]
+    fn the_point_at_a_pixel_is_in_front() {
+        let points = directions(8000).map(|direction| dvec3(5.0, -2.0, 1.0) + direction);
+        let extent = Extent::of_points(points.collect(), 7.0);
+        let camera = extent.overview(DVec3::Z, 0.01, [300, 200]);
         let [before, behind] =
-            [-0.9, 0.9].map(|along| extent.centre + along * camera.camera_from_world.rotation.row(2));
+            [-1.0, 1.0].map(|along| extent.centre + along * camera.camera_from_world.rotation.row(2));
         let point = extent.point_at(&camera, 150.0, 100.0).unwrap();
-        assert!(point.distance(before) < 0.3 && point.distance(behind) > 1.0, "{point}");
+        assert!(point.distance(before) < 0.1 && point.distance(behind) > 1.0, "{point}");
         assert_eq!(extent.point_at(&camera, 2.0, 2.0), None);
     }
 }

@@ -241,11 +241,11 @@ def single(tab, folder, save):
     check("buttons are as large as a finger", len(sides) == 18 and min(sides) >= 44, sides)
     loaded = tab.evaluate("performance.getEntriesByType('resource').map((entry) => entry.name.slice(0, 8))")
     check("it needs no other file", all(name.startswith(("data:", "blob:")) for name in loaded), loaded)
+    if save:
+        save.mkdir(parents=True, exist_ok=True)
+        tab.screenshot(save / "single.png")
     tab.evaluate("document.getElementById('play').click()")
     check("it plays the path", wait_until(tab, f"{PLAY} === 'Stop'"))
-    if save:
-        tab.evaluate(WAIT % 500)
-        tab.screenshot(save / "single.png")
     state = tab.open((folder / "single.html").resolve().as_uri() + "?view=nowhere")
     check("a view that is not there is said", state == "shown" and 'No view is called "nowhere"' in tab.evaluate(TEXT), tab.evaluate(TEXT))
 

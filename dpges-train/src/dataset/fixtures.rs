@@ -169,7 +169,7 @@ pub(crate) fn export(root: &Path, data: &Dataset) {
 }
 
 /// Panoramas of `width` px at the places of the views of `data` as a nerfstudio dataset: `images/`, `depths/` in millimetres,
-/// `points3D.ply`, `transforms.json`.
+/// `transforms.json`.
 pub(crate) fn export_panoramas(root: &Path, data: &Dataset, width: usize, supersampling: usize) {
     let file = |view: &View| format!("images/{}.png", view.name);
     let frame = |view: &View| {
@@ -186,20 +186,6 @@ pub(crate) fn export_panoramas(root: &Path, data: &Dataset, width: usize, supers
     let held_out: Vec<String> = data.test.iter().map(|view| format!("{:?}", file(view))).collect();
     let header = format!(r#""camera_model": "EQUIRECTANGULAR", "test_filenames": [{}]"#, held_out.join(","));
     write_transforms(&root.join("transforms.json"), &header, &frames);
-    write_points(&root.join("points3D.ply"), data);
-}
-
-/// The points of a dataset as PLY.
-pub(crate) fn write_points(path: &Path, data: &Dataset) {
-    let names = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"];
-    let properties = names.map(|name| format!("property {name}\n")).concat();
-    let mut ply =
-        format!("ply\nformat ascii 1.0\nelement vertex {}\n{properties}end_header\n", data.points.positions.len());
-    for ([x, y, z], colour) in data.points.positions.iter().zip(&data.points.colours) {
-        let [red, green, blue] = colour.map(|channel| (255.0 * channel).round());
-        writeln!(ply, "{x} {y} {z} {red} {green} {blue}").unwrap();
-    }
-    std::fs::write(path, ply).unwrap();
 }
 
 /// Peak signal-to-noise ratio of 8-bit values, dB.

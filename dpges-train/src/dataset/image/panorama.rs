@@ -318,20 +318,18 @@ mod tests {
 
     #[test]
     fn faces_of_a_panorama_are_the_pictures_of_their_cameras() {
-        let (panorama, distances) = builtin_panorama(&pose(), 768, 3);
+        let (panorama, distances) = builtin_panorama(&pose(), 384, 2);
         let steps: Vec<u16> = distances.iter().map(|distance| (1e4 * distance) as u16).collect();
-        for (face, least) in zip(Face::ALL, [[0.0; 3]; 6]) {
-            let full = face.camera(&pose(), 768, 0.01);
-            for (camera, least) in
-                zip([full, full.resized(full.width / 2, full.width / 2), full.resized(40, 40)], least)
-            {
-                let cut = cut(&panorama, face, camera.width);
-                let found = psnr(&cut.bytes, &builtin_photograph(&camera, 6, 0.0).bytes);
-                println!("{face:?} {} {found}", camera.width);
-                assert!(found > least, "{face:?} of {} px: {found} dB", camera.width);
+        for face in Face::ALL {
+            let full = face.camera(&pose(), 384, 0.01);
+            // at full size it is interpolated, at the smallest the mean of many samples
+            for (side, least) in [(full.width, 29.5), (full.width / 2, 33.0), (30, 35.0)] {
+                let truth = builtin_photograph(&full.resized(side, side), 3, 0.0);
+                let found = psnr(&cut(&panorama, face, side).bytes, &truth.bytes);
+                assert!(found > least, "{face:?} of {side} px: {found} dB");
             }
             let (depth, _) = builtin_geometry(&full);
-            let cut = cut_depth(&steps, [768, 384], DepthKind::Metric, face, full.width);
+            let cut = cut_depth(&steps, [384, 192], DepthKind::Metric, face, full.width);
             let is_near = |(step, depth): &(u16, f32)| (f32::from(*step) / 1e4 / depth - 1.0).abs() < 0.02;
             let near = zip(cut, depth).filter(is_near).count();
             assert!(near as f64 > 0.97 * (full.width * full.width) as f64, "{face:?}: {near}");
@@ -341,7 +339,7 @@ mod tests {
     #[test]
     fn what_does_not_count_has_no_part_in_what_does() {
         let (mut panorama, _) = builtin_panorama(&pose(), 128, 1);
-        let is_counted = |pixel: usize| pixel / 128 < 50 || pixel % 128 < 3;
+        let is_counted = |pixel: usize| pixel / 128 < 40 || pixel % 128 < 3;
         panorama.counted = Some((0..128 * 64).map(is_counted).collect());
         let mut overpainted = panorama.clone();
         (0..128 * 64).filter(|&pixel| !is_counted(pixel)).for_each(|pixel| overpainted.bytes[3 * pixel] ^= 0x80);
@@ -354,7 +352,7 @@ mod tests {
             });
             shares.push(counted.iter().filter(|&&counts| counts).count());
         }
-        // the upper face counts, of the lower a corner does
-        assert!(shares[4] == 900 && shares[5] < 450 && (500..900).contains(&shares[0]), "{shares:?}");
+        // all of the upper face, two thirds of that in front
+        assert!(shares[4] == 900 && shares[5] < 100 && (540..660).contains(&shares[0]), "{shares:?}");
     }
 }

@@ -10,11 +10,11 @@ use pulp::Simd;
 
 use super::{ParameterGrad, Parameters};
 use crate::backend::lanes::{Lanes, Mask};
+use crate::backend::number::Arithmetic;
 use crate::backend::real::Real;
 use crate::footprint::CUTOFF;
 use crate::math::{
-    Arithmetic, CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale, sub,
-    times,
+    CameraOf, M3, V3, add, apply_transposed, column, cross, dot, rotation, rotation_backward, scale, sub, times,
 };
 use crate::tiles::PixelRect;
 

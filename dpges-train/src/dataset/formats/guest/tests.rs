@@ -341,7 +341,7 @@ fn a_model_of_colmap_comes_first_unless_another_file_is_named() {
 #[test]
 fn panoramas_have_their_middle_ahead() {
     let sensor = "<sensor id='0' label='A' type='spherical'><resolution width='32' height='16'/></sensor>";
-    let xml = metashape(sensor, &format!("<camera sensor_id='0' label='a'>{IDENTITY}</camera>"));
+    let xml = metashape(sensor, &format!("<camera sensor_id='0' label='a.png'>{IDENTITY}</camera>"));
     let json = |kind: &str| {
         format!(
             r#"[{{"cameras": {{"c": {{"projection_type": "{kind}", "width": 32, "height": 16}}}},
@@ -379,7 +379,7 @@ fn wrong_files_are_refused_by_name() {
         ("c.xml", xml.replace("1 0 0 0 0 1 0 0", "1 0 0 0 0 1 0"), ["the transform of camera `a`", "16 numbers"]),
         ("c.xml", xml.replace("1 0 0 0 0 1 0 0", "1 0 0 0 0 2 0 0"), ["the rotation of camera `a`", "without shear"]),
         ("c.xml", xml.replace("sensor_id='0'", "sensor_id='7'"), ["the sensor of camera `a` is `7`", "the id"]),
-        ("c.xml", xml.replace("frame", "spherical"), ["view `a.png` is a panorama of 24x16 px", "twice as wide"]),
+        ("c.xml", xml.replace("frame", "spherical"), ["view `a` is a panorama of 24x16 px", "twice as wide"]),
         (
             "c.xml",
             xml.replace("frame", "cylindrical"),
