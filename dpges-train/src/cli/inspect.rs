@@ -12,10 +12,11 @@ use dpges_train::device::DeviceRequest;
 use dpges_train::eval::pictures::save_png;
 use dpges_train::run::folder::write_json;
 use dpges_train::run::hold::Hold;
-use dpges_train::run::recommendation::Recommendation;
+use dpges_train::run::recommendation::{PRESET, Recommendation};
 use serde::Serialize;
 
 use super::data::{DataArgs, Source};
+use super::train::options::of_dataset;
 use super::{Result, device_choice, hold_report, print, sfm, table};
 use crate::cli::logging::LogStyle;
 
@@ -48,7 +49,8 @@ struct Inspected<'a> {
 
 pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     let _held = (args.out.as_deref().map(Hold::of_folder).transpose()?, hold_report(args.json.as_deref())?);
-    let config = Config::resolve_data(None, &args.options.assignments())?;
+    let set = args.options.assignments();
+    let config = Config::resolve_data(None, &set)?;
     let options = capture::Options { invert_masks: config.invert_masks, ..capture::Options::default() };
     sfm::prepare(Some(&args.dataset), &options, style)?;
     let source = Source::named(Some(&args.dataset));
@@ -62,7 +64,8 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     let note = "Numbers are medians, with the 5th and 95th percentile.";
     print(&format!("{}\n{note}\n\n{notes}{findings}", table(&rows)))?;
     let device = device_choice::select(DeviceRequest::Auto)?;
-    let recommendation = Recommendation::new(&source, &dataset, &device.open()?, &device.to_string())?;
+    let run = Config::resolve_for(of_dataset(&source), Some(PRESET), None, &set)?;
+    let recommendation = Recommendation::new((&source, &set), &dataset, &run, (&device.open()?, &device.to_string()))?;
     print(&format!("\nRecommended: {}\n{}", recommendation.command, table(&recommendation.settings)))?;
     if let Some(path) = &args.json {
         write_json(path, &Inspected { report: &report, recommendation: &recommendation })?;

@@ -15,7 +15,7 @@ use crate::views::exposure::state::LARGE_SPREAD;
 use crate::views::pose::LARGE_PX;
 
 /// The preset that decides about exposures and poses by the dataset.
-const PRESET: &str = "recommended";
+pub const PRESET: &str = "recommended";
 /// A run that is expected to take longer is recommended for smaller pictures, s.
 const LONG_SECONDS: f64 = 3600.0;
 /// Sides of recommended pictures are multiples of this, and not below [`LEAST_SIDE`], px.
@@ -34,16 +34,22 @@ pub struct Recommendation {
 }
 
 impl Recommendation {
-    /// For `dataset`, read from `source`, on `device`, which is called `name`; it is timed for a few seconds.
+    /// For `dataset`, read from `source` with each `key=value` of `options`, and a run of `config`, [`PRESET`] with them, on
+    /// `device`, which is called `name`; it is timed for some seconds.
     ///
     /// # Errors
     /// [`TargetError`] of a photograph that cannot be read again, of steps that fail.
-    pub fn new(source: &Source, dataset: &Dataset, device: &Device, name: &str) -> Result<Self, TargetError> {
-        let config = Config::resolve(Some(PRESET), None, &[]).expect("a preset of the program");
+    pub fn new(
+        (source, options): (&Source, &[String]),
+        dataset: &Dataset,
+        config: &Config,
+        (device, name): (&Device, &str),
+    ) -> Result<Self, TargetError> {
         let (steps, whole_pixels) = (config.total_steps(), mean_pixels(dataset));
-        let times = StepTimes::of_builtin(&config, device)?;
+        let times = StepTimes::of_builtin(config, device)?;
         let seconds_for = |pixels: usize| steps as f64 * times.step(pixels);
         let mut command = format!("dpges train {} --preset {PRESET}", quoted(&source.to_string()));
+        options.iter().for_each(|option| command += &format!(" --set {}", quoted(option)));
         let mut settings = Vec::new();
         let (side, whole) = (dataset.longest_side() as f64, seconds_for(whole_pixels));
         let share = (LONG_SECONDS / whole).min(1.0);
@@ -57,7 +63,7 @@ impl Recommendation {
         } else {
             settings.push(("pictures", format!("{side} px, as they are")));
         }
-        let primitives = budget(&config, dataset) as f64 * pixels as f64 / whole_pixels as f64;
+        let primitives = budget(config, dataset) as f64 * pixels as f64 / whole_pixels as f64;
         settings.push(("primitives", format!("up to about {primitives:.0}: one for each different pixel")));
         settings.push(("exposure", exposure(dataset)?));
         settings.push(("poses", poses(dataset)));

@@ -18,8 +18,9 @@ use crate::eval::rendered::{Renderer, to_picture};
 use crate::eval::{Evaluation, evaluate};
 
 const FLOATERS: &str = "floaters";
-/// Weights over the pixels of a view which together are less change no pixel by one of 256 levels.
-const UNSEEN_PX: f64 = 1.0 / 255.0;
+/// Weights over the pixels of a view which together are less change none by a hundredth of one of 256 levels: thousands of such
+/// primitives together do not show, either.
+const UNSEEN_PX: f64 = 0.01 / 255.0;
 
 /// Why there is no clean scene.
 #[derive(Debug, thiserror::Error)]
@@ -58,7 +59,7 @@ pub struct Cleaned {
 
 impl Cleaned {
     /// `scene` by `rules`, and where its `dataset`, in the coordinates of the scene, and a device are known also without floaters
-    /// and what adds less than a level of 256 to all pixels of each training view. What floats hides what is behind it, so this
+    /// and what adds next to nothing to all pixels of each training view. What floats hides what is behind it, so this
     /// comes last. A dataset that does not say which view saw what knows no floaters.
     ///
     /// # Errors

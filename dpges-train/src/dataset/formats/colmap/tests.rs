@@ -315,7 +315,7 @@ fn cameras_that_do_not_stand_where_their_keypoints_say_are_named() {
     off.pose = off.pose.moved(DVec3::new(0.0, 0.0, 0.2), DVec3::ZERO);
     let data = loaded_as(&scene, Encoding::Binary);
     assert!(near(&data, 0.5));
-    assert_says(said(&data), &["OffPose", "others miss by 0.5 px (1): left/003.png (", "train.poses=on"]);
+    assert_says(said(&data), &["OffPose", "others miss by 0.5 px (1): left/003.png (3.5 px)"]);
     let half = LoadOptions { max_resolution: Some(12), ..LoadOptions::default() };
     let folder = colmap_folder(&scene, Encoding::Binary);
     assert!(near(&load(folder.path(), &half).unwrap(), 0.25), "px of the pictures that are trained on");
