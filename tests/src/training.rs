@@ -96,7 +96,7 @@ pub fn a_step_that_is_not_finite_changes_no_parameter(device: &Device) {
 /// no view counts twice, and no random number is drawn twice.
 pub fn lists_without_room_change_no_bit_of_a_run(device: &Device) {
     let data = dataset();
-    let runs: [(usize, &[&str]); 2] = [(50, &["train.exposure=on", "train.poses=on"]), (16, &["train.method=2dgs"])];
+    let runs: [(usize, &[&str]); 2] = [(24, &["train.exposure=on", "train.poses=on"]), (16, &["train.method=2dgs"])];
     for (steps, more) in runs {
         let run = || trained(&data, config(steps, more), device).checkpoint();
         let expected = run();
