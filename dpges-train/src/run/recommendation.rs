@@ -22,7 +22,7 @@ const LONG_SECONDS: f64 = 3600.0;
 const SIDE_STEP: f64 = 20.0;
 const LEAST_SIDE: f64 = 160.0;
 
-/// What is recommended for a dataset.
+/// Settings and the command that are recommended for a dataset.
 #[derive(Clone, Debug, Serialize)]
 pub struct Recommendation {
     /// A shell's command line.

@@ -1,4 +1,4 @@
-//! What is known or done after training: the scale of a scene, and what it can do without.
+//! After training: the scale of a scene, and the removal of waste.
 
 use super::{assert_contains, bytes, fails, folder, is_equal, json, json_of, ok, trained, words};
 

@@ -33,7 +33,7 @@ pub enum CleanError {
 
 type Result<T, E = dpges_core::Error> = std::result::Result<T, E>;
 
-/// What goes besides floaters and what no camera sees.
+/// Rules besides those of floaters and of primitives that no camera sees.
 #[derive(Clone, Copy, Debug)]
 pub struct Rules {
     /// Centres stay within, in coordinates of the scene.
