@@ -35,7 +35,7 @@ pub enum Face {
 impl Face {
     pub const ALL: [Self; 6] = [Self::Front, Self::Right, Self::Back, Self::Left, Self::Up, Self::Down];
 
-    /// What it adds to the name of the photograph, before the extension.
+    /// Ending that it adds to the name of the photograph, before the extension.
     fn ending(self) -> &'static str {
         match self {
             Self::Front => "_front",

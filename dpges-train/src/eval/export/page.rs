@@ -27,7 +27,7 @@ const PACKING: f64 = 1e-3;
 /// Views that an unknown name is answered with.
 const NEAREST: usize = 3;
 
-/// What a page is made of besides its scene.
+/// The parts of a page besides its scene.
 #[derive(Clone, Debug, Default, Args)]
 pub struct PageArgs {
     /// Folder of the browser viewer for html and lod, as dpges-render/web/build.sh builds it [default: DPGES_WEB_PAGE,

@@ -59,8 +59,8 @@ pub struct Cleaned {
 
 impl Cleaned {
     /// `scene` by `rules`, and where its `dataset`, in the coordinates of the scene, and a device are known also without floaters
-    /// and what adds next to nothing to all pixels of each training view. What floats hides what is behind it, so this
-    /// comes last. A dataset that does not say which view saw what knows no floaters.
+    /// and what adds next to nothing to all pixels of each training view. This comes last, since floaters
+    /// hide what is behind them. A dataset that does not say which view saw what knows no floaters.
     ///
     /// # Errors
     /// [`dpges_core::Error`] if the scene cannot be rendered.
