@@ -12,6 +12,7 @@ use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::evaluate;
 use dpges_train::run::{TrainError, Trainer};
+use dpges_train::views::target::ToTarget;
 
 use crate::devices::ndarray;
 
@@ -134,7 +135,8 @@ pub fn photographs_reach_a_gpu_to_the_bit(device: &Device) {
     let data = masked();
     for device in [device.clone(), device.clone().autodiff()] {
         for view in &data.train {
-            let (picture, Target { image: found, mask }) = (view.picture().unwrap(), view.target(&device).unwrap());
+            let picture = view.picture().unwrap();
+            let Target { image: found, mask } = picture.target(&device);
             let counted = mask.map(|mask| tensor_to_rows(&mask.filled(found.ones_like(), 0.0)));
             let expected = picture.counted.as_ref().map(|counted| {
                 let plane = counted.iter().map(|&counts| if counts { 1.0 } else { 0.0 });

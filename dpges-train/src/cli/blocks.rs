@@ -107,7 +107,7 @@ fn plan(args: &PlanArgs, style: LogStyle) -> Result<()> {
     let source = Source::named(Some(&args.dataset));
     let config = args.options.resolve(&source, &[])?;
     sfm::prepare(Some(&args.dataset), &args.options.sfm(&config), style)?;
-    let dataset = source.load(&config.data)?;
+    let dataset = source.load(&config.data.load_options())?;
     let limit = args.blocks.map_or(Limit::Points(args.points), Limit::Blocks);
     let plan = Plan { coarse_budget: args.coarse_budget, ..Plan::new(source.to_string(), &dataset, config, limit)? };
     if plan.is_in(&args.out)? {
@@ -162,7 +162,7 @@ impl Worker<'_> {
         let name = device_choice::of_rank(self.job, device_choice::select(self.device)?, Some(self.device))?;
         let place = Place { device: name.open()?, ranks };
         let config = self.capture.config(step)?;
-        let dataset = source.load_for_training(&config)?;
+        let dataset = config.load_for_training(&source)?;
         let run = if state == State::Begun {
             let saved = SavedRun::open(folder.clone())?;
             say_resumed(&saved, name);

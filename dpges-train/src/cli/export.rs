@@ -15,8 +15,7 @@ use dpges_train::eval::export::format::{ExportFormat, Filter, Origin, filter_tex
 use dpges_train::eval::export::mesh::mesh;
 use dpges_train::eval::export::page::{self, PageArgs};
 use dpges_train::eval::export::splats::{SplatFormat, file, filter_of, is_changed, loss, splats};
-use dpges_train::eval::export::streamed;
-use dpges_train::lod::{self, CELL_PRIMITIVES};
+use dpges_train::lod::{self, CELL_PRIMITIVES, streamed};
 use dpges_train::run::folder::hold_file;
 use dpges_train::run::hold::Hold;
 

@@ -9,7 +9,7 @@ use dpges_train::config::Config;
 use dpges_train::dataset::capture;
 use dpges_train::dataset::check::{Effort, Report, map, sheet, summary};
 use dpges_train::device::DeviceRequest;
-use dpges_train::eval::pictures::save_png;
+use dpges_train::eval::pictures::{photograph, save_png};
 use dpges_train::run::folder::write_json;
 use dpges_train::run::hold::Hold;
 use dpges_train::run::recommendation::{PRESET, Recommendation};
@@ -54,7 +54,7 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     let options = capture::Options { invert_masks: config.invert_masks, ..capture::Options::default() };
     sfm::prepare(Some(&args.dataset), &options, style)?;
     let source = Source::named(Some(&args.dataset));
-    let dataset = source.load(&config)?;
+    let dataset = source.load(&config.load_options())?;
     let report = Report::of(&dataset, Effort::Full)?;
     let mut rows = vec![("dataset", format!("{source}: {}", dataset.format))];
     rows.extend(summary::rows(&dataset, &report));
@@ -72,7 +72,7 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     }
     if let Some(out) = &args.out {
         let (sheet, map) = (out.join("contact_sheet.png"), out.join("cameras.svg"));
-        save_png(&sheet::contact_sheet(&dataset, &report)?, &sheet)?;
+        save_png(&photograph(&sheet::contact_sheet(&dataset, &report)?), &sheet)?;
         write_atomically(&map, |file| file.write_all(map::svg(&dataset, &report).as_bytes()))?;
         print(&format!("\n{}\n{}\n", sheet.display(), map.display()))?;
     }

@@ -8,7 +8,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::SceneInfo;
 use dpges_render::viewer::{self, DatasetViews, Opened, Start, ViewerOptions, Views};
 use dpges_train::config::DataConfig;
-use dpges_train::dataset::View;
+use dpges_train::dataset::{LoadOptions, View};
 use dpges_train::eval::pictures;
 use dpges_train::eval::rendering_preset::RenderingPreset;
 use dpges_train::views::pose::{RefinedPoses, refine};
@@ -78,7 +78,7 @@ impl WindowArgs {
 /// The views of a dataset, held-out ones last, in the coordinates of the scene, training views with refined `poses`.
 fn read(source: &Source, config: &DataConfig, info: &SceneInfo, poses: &RefinedPoses) -> Result<DatasetViews> {
     // the window draws pinhole cameras alone
-    let mut dataset = source.load(&DataConfig { undistort: true, ..config.clone() })?;
+    let mut dataset = source.load(&LoadOptions { undistort: true, ..config.load_options() })?;
     refine(&mut dataset.train, poses);
     let offset = dataset.offset;
     let held_out = dataset.test.into_iter().map(|view| (format!("{} (held out)", view.name), view));

@@ -7,6 +7,7 @@ mod differences;
 pub mod document;
 pub mod error;
 pub mod keys;
+mod loading;
 pub mod memory;
 pub mod pixels;
 pub mod range;

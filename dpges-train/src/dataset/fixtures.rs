@@ -139,35 +139,6 @@ pub(crate) fn write_transforms(path: &Path, header: &str, frames: &[String]) {
     std::fs::write(path, format!(r#"{{{header}, "frames": [{}]}}"#, frames.join(","))).unwrap();
 }
 
-/// Training and held-out views as a nerfstudio dataset: `images/`, `masks/` where pictures have them, `transforms.json`.
-pub(crate) fn export(root: &Path, data: &Dataset) {
-    let file = |view: &View| format!("images/{}.png", view.name);
-    let frame = |view: &View| {
-        let (picture, camera) = (view.picture().unwrap(), view.camera);
-        let (width, height) = (picture.width as u32, picture.height as u32);
-        save(&root.join(file(view)), RgbImage::from_raw(width, height, picture.bytes.clone()).unwrap());
-        if let Some(counted) = &picture.counted {
-            let white = counted.iter().map(|&counts| if counts { 255 } else { 0 }).collect();
-            let mask = GrayImage::from_raw(width, height, white).unwrap();
-            save(&root.join(format!("masks/{}.png", view.name)), mask);
-        }
-        format!(
-            r#"{{"file_path": "{}", "w": {width}, "h": {height}, "fl_x": {}, "fl_y": {}, "cx": {}, "cy": {},
-            "transform_matrix": {}}}"#,
-            file(view),
-            camera.fx,
-            camera.fy,
-            camera.cx,
-            camera.cy,
-            transform_matrix(&camera.camera_from_world)
-        )
-    };
-    let frames: Vec<String> = data.train.iter().chain(&data.test).map(frame).collect();
-    let held_out: Vec<String> = data.test.iter().map(|view| format!("{:?}", file(view))).collect();
-    let json = format!(r#"{{"test_filenames": [{}], "frames": [{}]}}"#, held_out.join(","), frames.join(","));
-    std::fs::write(root.join("transforms.json"), json).unwrap();
-}
-
 /// Panoramas of `width` px at the places of the views of `data` as a nerfstudio dataset: `images/`, `depths/` in millimetres,
 /// `transforms.json`.
 pub(crate) fn export_panoramas(root: &Path, data: &Dataset, width: usize, supersampling: usize) {

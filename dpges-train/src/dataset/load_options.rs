@@ -1,7 +1,6 @@
 //! How a dataset is read.
 
 use super::DepthKind;
-use crate::config::{Alpha, Background, DataConfig, DepthMaps};
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadOptions {
@@ -42,50 +41,5 @@ impl Default for LoadOptions {
             memory: usize::MAX,
             depth: None,
         }
-    }
-}
-
-impl DataConfig {
-    /// The settings of `[data]` for a dataset in files.
-    pub fn load_options(&self) -> LoadOptions {
-        LoadOptions {
-            background: match self.background {
-                Background::Colour(colour) => Some(colour),
-                Background::Auto | Background::Transparent => None,
-            },
-            image_scale: (self.image_scale > 1).then_some(self.image_scale),
-            max_resolution: (self.max_resolution > 0).then_some(self.max_resolution),
-            test_every: self.test_every,
-            undistort: self.undistort,
-            near: (self.near > 0.0).then_some(self.near),
-            alpha_masks: self.alpha == Alpha::Mask,
-            invert_masks: self.invert_masks,
-            memory: self.memory.bytes(),
-            depth: match self.depth {
-                DepthMaps::None => None,
-                DepthMaps::Metric => Some(DepthKind::Metric),
-                DepthMaps::Relative => Some(DepthKind::Relative),
-            },
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::Memory;
-
-    #[test]
-    fn zeros_and_auto_leave_the_choice_to_the_dataset() {
-        let options = DataConfig { max_resolution: 0, ..Default::default() }.load_options();
-        let memory = Memory::Auto.bytes();
-        assert_eq!(options, LoadOptions { memory, ..LoadOptions::default() });
-        let data =
-            DataConfig { background: Background::Colour([1.0; 3]), image_scale: 4, near: 0.5, ..Default::default() };
-        let options = data.load_options();
-        assert_eq!((options.background, options.image_scale, options.near), (Some([1.0; 3]), Some(4), Some(0.5)));
-        assert_eq!((options.max_resolution, options.depth), (Some(1600), None));
-        let data = DataConfig { depth: DepthMaps::Relative, ..Default::default() };
-        assert_eq!(data.load_options().depth, Some(DepthKind::Relative));
     }
 }

@@ -21,54 +21,50 @@ mod empty_space;
 mod error;
 mod finding;
 #[cfg(test)]
-pub(crate) mod fixtures;
+mod fixtures;
 mod folder;
 mod foreign;
 mod formats;
 mod halved;
-pub(crate) mod image;
+mod image;
 mod inventory;
 mod key;
 mod layout;
 mod load_options;
-pub(crate) mod names;
+pub mod names;
 pub mod neighbours;
 mod panoramas;
 mod reprojection;
 pub mod source;
 mod split;
 mod tracks;
+mod upwards;
 mod world;
 
 use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
-use burn::tensor::Device;
 use dpges_core::camera::Camera;
-use dpges_core::losses::Target;
 use glam::DVec3;
 
-pub(crate) use self::image::codec::header as image_header;
+pub use self::image::cache::least_recently_used;
+use self::image::codec::header as image_header;
 pub use self::image::depth::{DepthKind, DepthMap};
 pub use self::image::masks::Masked;
-pub(crate) use self::image::masks::read as read_mask;
-pub use self::image::packed::PackedPicture;
-pub use self::image::panorama::Face;
-pub(crate) use self::image::panorama::{stitched, stitched_depth};
-pub(crate) use self::image::photograph::{MOST_PREFETCHED, prefetch};
-pub use self::image::photograph::{Photograph, pictures};
+use self::image::masks::read as read_mask;
+pub use self::image::panorama::{Face, stitched, stitched_depth};
+pub use self::image::photograph::{MOST_PREFETCHED, Photograph, pictures, prefetch};
 pub use self::image::picture::Picture;
-pub use builtin::{BuiltinOptions, builtin, builtin_geometry};
-#[cfg(test)]
-pub(crate) use builtin::{builtin_panorama, photograph as builtin_photograph};
+pub use builtin::{BuiltinOptions, builtin, builtin_geometry, builtin_panorama, photograph as builtin_photograph};
 pub use empty_space::EmptySpace;
 pub use error::DatasetError;
 pub use finding::{Finding, Kind, Notices};
-pub(crate) use formats::colmap::{ModelContent, model_content};
+use formats::colmap::{ModelContent, model_content};
 pub use load_options::LoadOptions;
 pub use split::Split;
 pub use tracks::Tracks;
+pub use upwards::upwards;
 
 use self::folder::Folder;
 use self::formats::source::Source;
@@ -162,14 +158,6 @@ impl View {
         self.photograph.picture()
     }
 
-    /// The photograph on `device`, and which of its pixels count.
-    ///
-    /// # Errors
-    /// The errors of [`picture`](Self::picture).
-    pub fn target(&self, device: &Device) -> dpges_core::Result<Target> {
-        Ok(self.picture()?.target(device))
-    }
-
     /// Changes the photograph, which is in memory from then on.
     ///
     /// # Errors
@@ -216,7 +204,7 @@ impl Dataset {
     }
 
     /// Training, then held-out, then validation views.
-    pub(crate) fn views(&self) -> impl Iterator<Item = &View> {
+    fn views(&self) -> impl Iterator<Item = &View> {
         self.train.iter().chain(&self.test).chain(&self.validation)
     }
 
@@ -257,7 +245,7 @@ pub enum Format {
 
 impl Format {
     /// Whether photographs beside such cameras are also those of a reconstruction that is to be made anew.
-    pub(crate) fn is_guest(self) -> bool {
+    fn is_guest(self) -> bool {
         matches!(self, Self::Metashape | Self::RealityScan | Self::OpenSfm | Self::Bundler)
     }
 }
@@ -308,7 +296,7 @@ fn described(layout: &Layout, options: &LoadOptions) -> Result<Source> {
 }
 
 /// The error of a folder with cameras of programs that are not read; `None` if there are none, or whole datasets within.
-pub(crate) fn foreign(path: &Path) -> Option<DatasetError> {
+fn foreign(path: &Path) -> Option<DatasetError> {
     let folder = Folder::read(path);
     let (program, files) = foreign::cameras(&folder).into_iter().next()?;
     if Layout::are_within(&folder) {

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use super::block::Block;
 use super::capture::{self, Input, Unusable};
 use super::check::{Effort, Report};
-use super::{BuiltinOptions, Dataset, DatasetError, builtin, format, load};
-use crate::config::{Background, Config, DataConfig};
+use super::{BuiltinOptions, Dataset, DatasetError, LoadOptions, builtin, format, load};
 
 /// Why a dataset that a command names cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -115,13 +114,11 @@ impl Source {
     ///
     /// # Errors
     /// [`SourceError`].
-    pub fn load(&self, config: &DataConfig) -> Result<Dataset> {
+    pub fn load(&self, options: &LoadOptions) -> Result<Dataset> {
         let dataset = match self {
-            Self::Builtin => from_builtin("", config)?,
-            Self::Altered(changes) => from_builtin(changes, config)?,
-            Self::Folder(path) => {
-                load(path, &config.load_options()).map_err(|error| SourceError::explained(error, path))?
-            }
+            Self::Builtin => from_builtin("", options)?,
+            Self::Altered(changes) => from_builtin(changes, options)?,
+            Self::Folder(path) => load(path, options).map_err(|error| SourceError::explained(error, path))?,
         };
         let Dataset { train, test, points, format, extent, .. } = &dataset;
         let [width, height] = train.first().map_or([0; 2], |view| [view.camera.width, view.camera.height]);
@@ -138,14 +135,19 @@ impl Source {
         Ok(dataset)
     }
 
-    /// The dataset of a run, without the views that are kept for its decisions, and those of other blocks; warns of what is
-    /// wrong with it.
+    /// The dataset of a run, without the views that are kept for its decisions, every n-th of so many training views by
+    /// `validation_every`, and those of other blocks than the one in the file `block`; warns of what is wrong with it.
     ///
     /// # Errors
     /// [`SourceError`].
-    pub fn load_for_training(&self, config: &Config) -> Result<Dataset> {
-        let mut dataset = self.load(&config.data)?;
-        if let Some(path) = config.block() {
+    pub fn load_for_training(
+        &self,
+        options: &LoadOptions,
+        block: Option<&Path>,
+        validation_every: impl FnOnce(usize) -> usize,
+    ) -> Result<Dataset> {
+        let mut dataset = self.load(options)?;
+        if let Some(path) = block {
             let wrong = |reason| SourceError::Block { path: path.to_owned(), dataset: self.to_string(), reason };
             dataset.keep_block(&Block::read(path)?).map_err(wrong)?;
         }
@@ -154,7 +156,7 @@ impl Source {
             report.notes.iter().for_each(|note| tracing::info!("{note}"));
             report.findings.iter().for_each(|finding| tracing::warn!("{finding}"));
         }
-        let every = config.validation_every(dataset.train.len());
+        let every = validation_every(dataset.train.len());
         dataset.keep_for_validation(every);
         if every > 0 {
             let (kept, left) = (dataset.validation.len(), dataset.train.len());
@@ -177,33 +179,32 @@ impl fmt::Display for Source {
     }
 }
 
-fn from_builtin(changes: &str, config: &DataConfig) -> Result<Dataset> {
-    if config.image_scale != 1 {
+fn from_builtin(changes: &str, options: &LoadOptions) -> Result<Dataset> {
+    if options.image_scale.is_some() {
         return Err(SourceError::OneScale);
     }
-    let cap = if config.max_resolution == 0 { BUILTIN_SIZE } else { config.max_resolution };
-    let size = cap.min(BUILTIN_SIZE);
-    let options = BuiltinOptions {
+    let size = options.max_resolution.map_or(BUILTIN_SIZE, |cap| cap.min(BUILTIN_SIZE));
+    let scene = BuiltinOptions {
         width: size,
         height: size,
         points: BUILTIN_POINTS,
-        depth: config.load_options().depth,
+        depth: options.depth,
         ..Default::default()
     };
-    let options = options.altered(changes).map_err(SourceError::Change)?;
-    let mut dataset = builtin(&options);
-    if config.undistort && options.fisheye {
+    let scene = scene.altered(changes).map_err(SourceError::Change)?;
+    let mut dataset = builtin(&scene);
+    if options.undistort && scene.fisheye {
         for view in dataset.train.iter_mut().chain(&mut dataset.test) {
             *view = view.undistorted()?.expect("the middle of a fisheye picture fits a pinhole camera");
         }
     }
-    if let Background::Colour(colour) = config.background {
+    if let Some(colour) = options.background {
         dataset.background = colour;
     }
-    dataset.spare_memory = config.memory.bytes();
-    if config.near > 0.0 {
-        dataset.near = config.near;
-        dataset.train.iter_mut().chain(&mut dataset.test).for_each(|view| view.camera.near = config.near);
+    dataset.spare_memory = options.memory;
+    if let Some(near) = options.near {
+        dataset.near = near;
+        dataset.train.iter_mut().chain(&mut dataset.test).for_each(|view| view.camera.near = near);
     }
     Ok(dataset)
 }

@@ -14,6 +14,7 @@ use crate::eval::rendered::Renderer;
 use crate::metrics::{Fitted, mean_ssim, psnr, quantised};
 use crate::views::exposure::Correction;
 use crate::views::pose::fit::fitted_pose;
+use crate::views::target::ToTarget;
 
 /// How well the right half of `image` shows that of `picture`, both [3, H, W], with the exposure that fits their left halves.
 /// Only pixels that count are in either, of `counted` [H × W] or all of them.

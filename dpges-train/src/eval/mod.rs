@@ -43,6 +43,7 @@ use crate::metrics::lpips::Lpips;
 use crate::metrics::{
     Fitted, OF_IGNORED_PIXELS, Perceptual, Scores, flip, flip_map, mean_ssim, ms_ssim, psnr, quantised, ssimulacra2,
 };
+use crate::views::target::ToTarget;
 use fits::{fitted, posed};
 pub use frame_ms::FrameMs;
 

@@ -21,6 +21,7 @@ use crate::config::{Config, OpacityActivation};
 use crate::dataset::{MOST_PREFETCHED, View, prefetch};
 use crate::optimizer::LOGIT_RATE;
 use crate::optimizer::scene_state::{GaussianState, Rates};
+use crate::views::target::ToTarget;
 
 /// Trains the ellipsoids of `scene`, in front of its environment, for `steps` steps on `views`, whose cameras are in the coordinates of the scene.
 /// Calls `report` with the number of steps that are done.
@@ -64,7 +65,7 @@ pub fn fit(
             None => rendered,
         }
         .image;
-        let loss = rgb(image, view.target(&device.clone().autodiff())?, config.train.lambda_dssim)?;
+        let loss = rgb(image, view.picture()?.target(&device.clone().autodiff()), config.train.lambda_dssim)?;
         let mut gradients = loss.backward();
         let found = state.gradients(&leaves.raw, &mut gradients);
         let mut checks = FiniteChecks::default();

@@ -9,15 +9,12 @@ use std::sync::OnceLock;
 use dpges_core::Result;
 use dpges_core::camera::Camera;
 use glam::DVec3;
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use rayon::prelude::*;
 
-use crate::dataset::{Dataset, Picture, sampled};
+use crate::dataset::{Dataset, Picture, sampled, upwards};
 
 /// Points that project into a cell of a view, on average: a cell without any is no accident.
 const POINTS_PER_CELL: f64 = 64.0;
-/// Weight of the mean upward axis of the cameras against the horizontal ones. It decides where these span no plane.
-const UPRIGHT: f64 = 0.05;
 
 /// The open sky of the training views.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,23 +116,6 @@ impl Skies {
         let find = || ViewSky::new(picture, open_cells(&self.cameras[index], &self.points, self.up));
         self.found[index].get_or_init(find).as_ref()
     }
-}
-
-/// The direction that is up in the world: perpendicular to the horizontal axes of the cameras, which photographers hold
-/// level, however much they tilt them.
-pub(crate) fn upwards<'a>(cameras: impl Iterator<Item = &'a Camera>) -> DVec3 {
-    let (mut level, mut upright, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
-    for camera in cameras {
-        let world_from_camera = camera.camera_from_world.rotation.transpose();
-        let right = Vector3::from((world_from_camera * DVec3::X).to_array());
-        level += right * right.transpose();
-        upright -= Vector3::from((world_from_camera * DVec3::Y).to_array());
-        count += 1.0;
-    }
-    let upright = upright.try_normalize(0.0).unwrap_or_else(|| -Vector3::y());
-    let eigen = SymmetricEigen::new(level / f64::max(count, 1.0) - UPRIGHT * upright * upright.transpose());
-    let up = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
-    DVec3::from_array(if up.dot(&upright) < 0.0 { -up } else { up }.into())
 }
 
 /// A view in cells, row by row from the upper border.

@@ -5,18 +5,19 @@
 //! |---|---|
 //! | `tree` | the cells |
 //! | `merge`, `pairs`, `blob`, `colours` | half as many primitives: which become one, and what one |
-//! | `pictures`, `fit` | a level that learns to look like the scene |
+//! | `pictures` | a level that learns to look like the scene |
 //! | `folder` | the files |
+//! | [`streamed`] | levels as splats |
 //! | [`describe`] | what is in a folder |
 
 mod blob;
 mod colours;
 pub mod describe;
-mod fit;
 mod folder;
 mod merge;
 mod pairs;
 mod pictures;
+pub mod streamed;
 #[cfg(test)]
 mod tests;
 mod tree;
@@ -35,7 +36,9 @@ use self::merge::{half_of_gaussians, half_of_surfels};
 use self::pictures::{Pictures, around};
 use crate::dataset::View;
 use crate::eval::evaluate;
+use crate::eval::export::ExportFailure;
 use crate::run::TrainError;
+use crate::run::refit::refit;
 use crate::run::scene::every_nth;
 
 /// Primitives of a cell, at most, unless it is given.
@@ -62,6 +65,8 @@ pub enum LodError {
     Taken(PathBuf),
     #[error("{action} {}: {source}", .path.display())]
     Io { action: &'static str, path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    Export(#[from] ExportFailure),
     #[error(transparent)]
     Core(#[from] dpges_core::Error),
     #[error("fit of level {level}: {source}")]
@@ -123,7 +128,7 @@ pub fn write(scene: SceneData, options: &Options, out: &Path) -> Result<Index, L
             let views = pictures.of(level);
             let few: Vec<View> = every_nth(views, MEASURED_VIEWS).cloned().collect();
             let psnr = |scene: &SceneData| Ok::<f64, LodError>(evaluate(scene, &few, device)?.psnr);
-            let fitted = fit::fit(&base, views, *steps, device).map_err(|source| LodError::Fit { level, source })?;
+            let fitted = refit(&base, views, *steps, device).map_err(|source| LodError::Fit { level, source })?;
             let [width, height] = [views[0].camera.width, views[0].camera.height];
             let (before, after) = (psnr(&base)?, psnr(&fitted)?);
             let kept = if after < before { ": left as it was" } else { "" };

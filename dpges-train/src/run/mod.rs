@@ -34,7 +34,7 @@ mod error;
 #[cfg(test)]
 pub mod fixtures;
 pub mod folder;
-pub(crate) mod hash;
+pub mod hash;
 pub mod hold;
 pub mod interrupts;
 pub mod jobs;
@@ -49,6 +49,7 @@ mod peak_tests;
 mod ranks_tests;
 pub mod recommendation;
 mod record;
+pub mod refit;
 mod resume;
 pub mod scale;
 pub mod scene;

@@ -221,7 +221,7 @@ impl Scene {
         let Some((source, config)) = self.dataset(data, options)? else {
             return Err(SceneError::NoDataset { path: self.path.clone() });
         };
-        let mut dataset = source.load(&config)?;
+        let mut dataset = source.load(&config.load_options())?;
         refine(&mut dataset.train, &self.refined_poses(data)?);
         let views = dataset.train.len();
         dataset.keep_for_validation(if apart { self.validation_every(data, views) } else { 0 });

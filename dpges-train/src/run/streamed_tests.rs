@@ -1,11 +1,56 @@
 //! Runs on photographs that do not fit into memory.
 
+use std::path::Path;
+
+use dpges_core::camera::CameraFromWorld;
+use image::{DynamicImage, GrayImage, RgbImage};
+
 use super::fixtures::{STAGES, config, device, finished, options};
 use super::masked_tests::overpainted;
 use super::*;
-use crate::dataset::fixtures::export;
 use crate::dataset::{LoadOptions, SAMPLED_VIEWS, View, builtin, load};
 use crate::eval::evaluate;
+
+/// Saves an image, and makes the folder that it goes to.
+fn save(path: &Path, image: impl Into<DynamicImage>) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image.into().save(path).unwrap();
+}
+
+/// Three rows of a matrix with OpenGL axes.
+fn world_from_camera(pose: &CameraFromWorld) -> [[f64; 4]; 3] {
+    let (rotation, centre) = (pose.rotation, pose.centre());
+    [0, 1, 2].map(|row| [rotation.row(0)[row], -rotation.row(1)[row], -rotation.row(2)[row], centre[row]])
+}
+
+/// Training and held-out views as a nerfstudio dataset: `images/`, `masks/` where pictures have them, `transforms.json`.
+fn export(root: &Path, data: &Dataset) {
+    let file = |view: &View| format!("images/{}.png", view.name);
+    let frame = |view: &View| {
+        let (picture, camera) = (view.picture().unwrap(), view.camera);
+        let (width, height) = (picture.width as u32, picture.height as u32);
+        save(&root.join(file(view)), RgbImage::from_raw(width, height, picture.bytes.clone()).unwrap());
+        if let Some(counted) = &picture.counted {
+            let white = counted.iter().map(|&counts| if counts { 255 } else { 0 }).collect();
+            let mask = GrayImage::from_raw(width, height, white).unwrap();
+            save(&root.join(format!("masks/{}.png", view.name)), mask);
+        }
+        format!(
+            r#"{{"file_path": "{}", "w": {width}, "h": {height}, "fl_x": {}, "fl_y": {}, "cx": {}, "cy": {},
+            "transform_matrix": {:?}}}"#,
+            file(view),
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
+            world_from_camera(&camera.camera_from_world)
+        )
+    };
+    let frames: Vec<String> = data.train.iter().chain(&data.test).map(frame).collect();
+    let held_out: Vec<String> = data.test.iter().map(|view| format!("{:?}", file(view))).collect();
+    let json = format!(r#"{{"test_filenames": [{}], "frames": [{}]}}"#, held_out.join(","), frames.join(","));
+    std::fs::write(root.join("transforms.json"), json).unwrap();
+}
 
 #[test]
 fn where_photographs_are_kept_changes_no_bit_of_a_run() {

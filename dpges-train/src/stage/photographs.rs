@@ -8,7 +8,8 @@ use dpges_core::losses::Target;
 
 use super::Context;
 use crate::config::Config;
-use crate::dataset::{PackedPicture, Picture};
+use crate::dataset::Picture;
+use crate::views::target::{PackedPicture, ToTarget};
 
 /// The photographs that steps needed first, as many as there is room for. There is none on a CPU, which has nothing to upload.
 #[derive(Debug)]

@@ -111,7 +111,7 @@ impl BenchStepArgs {
         }
         if self.scene == Path::new(BUILTIN) {
             let config = Config::default();
-            let dataset = Arc::new(Source::Builtin.load(&config.data)?);
+            let dataset = Arc::new(Source::Builtin.load(&config.data.load_options())?);
             let scene = Trainer::new(config, Arc::clone(&dataset), device.clone())?.scene();
             return Ok((scene, self.cameras(&dataset.train)));
         }

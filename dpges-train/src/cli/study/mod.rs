@@ -139,7 +139,7 @@ impl Training {
         style: LogStyle,
         interrupted: Arc<AtomicBool>,
     ) -> Result<Self> {
-        let dataset = Arc::new(source.load_for_training(config)?);
+        let dataset = Arc::new(config.load_for_training(&source)?);
         if dataset.test.is_empty() {
             let message = format!("{source} has no held-out views to compare runs on");
             return Err(Failure::with_help(message, "hold out views with --test-every"));
@@ -155,7 +155,7 @@ impl Training {
             return Ok(());
         }
         if config.data != self.data {
-            self.dataset = Arc::new(self.source.load_for_training(config)?);
+            self.dataset = Arc::new(config.load_for_training(&self.source)?);
             self.data = config.data.clone();
         }
         let (dataset, opened) = (Arc::clone(&self.dataset), self.device.clone());

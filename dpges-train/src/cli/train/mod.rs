@@ -160,7 +160,7 @@ impl TrainArgs {
         // the others wait for the cameras
         ranks.gather(&[]);
         let opened = device.open()?;
-        let dataset = Arc::new(source.load_for_training(&config)?);
+        let dataset = Arc::new(config.load_for_training(&source)?);
         let pursue = |target: &Target| target.pursue(&mut config, &dataset, &opened);
         let pursuit = self.target.as_ref().map(pursue).transpose()?;
         let place = Place { device: opened, ranks };
@@ -219,7 +219,7 @@ impl TrainArgs {
         let device = device_choice::of_rank(job, device, self.device)?;
         say_resumed(&saved, device);
         let opened = device.open()?;
-        let dataset = source.load_for_training(saved.config())?;
+        let dataset = saved.config().load_for_training(&source)?;
         let place = Place { device: opened, ranks: Arc::clone(&job.ranks) };
         Ok(Session { run: Run::resume(saved, dataset, place)?, folder, device, style })
     }

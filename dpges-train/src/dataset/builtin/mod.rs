@@ -5,21 +5,17 @@ mod room;
 use std::f64::consts::TAU;
 
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
-#[cfg(test)]
-use glam::DVec2;
-use glam::{DVec3, Vec3};
+use glam::{DVec2, DVec3, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use self::room::{Hit, trace};
 use super::check::median;
-#[cfg(test)]
 use super::image::panorama;
 use super::image::picture::linear;
 use super::world::mean_and_extent;
 use super::{Dataset, DepthKind, DepthMap, Format, Notices, Picture, PointCloud, View};
-use crate::views::pose::PoseCorrection;
 
 /// Near plane, world units.
 const NEAR: f64 = 0.01;
@@ -183,8 +179,10 @@ fn misplace(views: &mut [View], options: &BuiltinOptions, extent: f64) {
     };
     let (turns, shifts) = (vectors(options.pose_degrees.to_radians()), vectors(options.pose_extents * extent));
     for ((view, turn), shift) in views.iter_mut().zip(turns).zip(shifts) {
-        let wrong = PoseCorrection { rotation: turn.to_array(), translation: shift.to_array() };
-        view.camera.camera_from_world = wrong.applied(&view.camera.camera_from_world);
+        // a camera that stays where it is keeps its pose to the bit
+        if [turn, shift] != [DVec3::ZERO; 2] {
+            view.camera.camera_from_world = view.camera.camera_from_world.moved(turn, shift);
+        }
     }
 }
 
@@ -226,7 +224,9 @@ fn hit(camera: &Camera, x: f64, y: f64) -> Hit {
     trace(eye, camera.unproject(x, y, 1.0) - eye)
 }
 
-pub(crate) fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
+/// What `camera`, which stands where [`builtin_geometry`] allows, photographs: colours are the mean over a grid of `supersampling` by as
+/// many rays per pixel, the exposure is changed by `stops` of linear light.
+pub fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> Picture {
     let (width, height) = (camera.width, camera.height);
     let pixels = width * height;
     let eye = camera.centre();
@@ -246,9 +246,9 @@ pub(crate) fn photograph(camera: &Camera, supersampling: usize, stops: f64) -> P
     Picture::from_planes(&planes, width, height)
 }
 
-/// The panorama of a camera with a pose, and [height × width] the distances of what it shows, world units.
-#[cfg(test)]
-pub(crate) fn builtin_panorama(pose: &CameraFromWorld, width: usize, supersampling: usize) -> (Picture, Vec<f32>) {
+/// The panorama of `width` by half as many px of a camera with a `pose`, likewise, and [height × width] the distances of what it
+/// shows, world units.
+pub fn builtin_panorama(pose: &CameraFromWorld, width: usize, supersampling: usize) -> (Picture, Vec<f32>) {
     let (height, samples) = (width / 2, supersampling * supersampling);
     let (eye, world_from_camera) = (pose.centre(), pose.rotation.transpose());
     let hit = |pixel: usize, x: f64, y: f64| {

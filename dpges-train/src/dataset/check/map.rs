@@ -7,8 +7,7 @@ use glam::{DMat3, DVec3};
 
 use super::Report;
 use super::findings::middle;
-use crate::dataset::{Dataset, Split};
-use crate::init::sky_detection::upwards;
+use crate::dataset::{Dataset, Split, upwards};
 
 /// Points on a map at most.
 const MOST_POINTS: usize = 4000;

@@ -1,6 +1,5 @@
 //! All photographs small, in one picture; what something was found about has a red frame, and stripes what does not count.
 
-use dpges_render::Rgb8Image;
 use epaint_default_fonts::UBUNTU_LIGHT;
 use image::{Rgb, RgbImage, imageops};
 use plotters::prelude::{BitMapBackend, IntoDrawingArea, IntoFont, RGBColor, Text};
@@ -42,7 +41,7 @@ pub enum SheetError {
 ///
 /// # Errors
 /// If a photograph cannot be read again, or names cannot be drawn.
-pub fn contact_sheet(dataset: &Dataset, report: &Report) -> Result<Rgb8Image, SheetError> {
+pub fn contact_sheet(dataset: &Dataset, report: &Report) -> Result<Picture, SheetError> {
     let step = dataset.views().count().div_ceil(MOST).max(1);
     let is_chosen = |&(index, view): &(usize, &View)| index % step == 0 || report.is_flagged(&view.name);
     let chosen: Vec<&View> = dataset.views().enumerate().filter(is_chosen).map(|(_, view)| view).collect();
@@ -68,7 +67,7 @@ pub fn contact_sheet(dataset: &Dataset, report: &Report) -> Result<Rgb8Image, Sh
         names.push((short(&view.name), ((x + frame) as i32, below as i32), ink));
     }
     write(&mut sheet, &names).map_err(|error| SheetError::Drawing(error.to_string()))?;
-    Ok(Rgb8Image { width, height, bytes: sheet.into_raw() })
+    Ok(Picture { width, height, bytes: sheet.into_raw(), alpha: None, counted: None })
 }
 
 /// Writes texts from their upper left corners on.

@@ -15,7 +15,7 @@ const LEAST_CACHED: usize = 2;
 /// A cache of the values that were asked for last, up to `most_bytes`.
 ///
 /// Its bound holds after [`Cache::run_pending_tasks`]: before, it may hold up to 64 values more.
-pub(crate) fn least_recently_used<T: Send + Sync + 'static>(
+pub fn least_recently_used<T: Send + Sync + 'static>(
     most_bytes: usize,
     size_bytes: impl Fn(&T) -> usize + Send + Sync + 'static,
 ) -> Cache<usize, Arc<T>> {

@@ -1,12 +1,11 @@
 //! Photographs, masks and depth maps: decoded, undistorted, made smaller, kept in memory or read again.
 
-pub(crate) mod cache;
+pub(super) mod cache;
 pub(super) mod codec;
 pub(super) mod decoder;
 pub(super) mod depth;
 pub(super) mod masks;
-pub(super) mod packed;
-pub(crate) mod panorama;
+pub(super) mod panorama;
 pub(super) mod photograph;
 pub(super) mod picture;
 pub(super) mod reading;

@@ -96,13 +96,13 @@ impl Face {
 }
 
 /// Position on a panorama, of its width and height, of a direction in its axes.
-pub(crate) fn position(direction: DVec3) -> DVec2 {
+pub(in crate::dataset) fn position(direction: DVec3) -> DVec2 {
     let DVec3 { x, y, z } = direction;
     DVec2::new(0.5 + x.atan2(z) / TAU, 0.5 + y.atan2(x.hypot(z)) / PI)
 }
 
 /// The unit vector in axes of a panorama at a position, of its width and height.
-pub(crate) fn direction(at: DVec2) -> DVec3 {
+pub(in crate::dataset) fn direction(at: DVec2) -> DVec3 {
     let ((sin_across, cos_across), (sin, cos)) = ((TAU * (at.x - 0.5)).sin_cos(), (PI * (at.y - 0.5)).sin_cos());
     DVec3::new(cos * sin_across, sin, cos * cos_across)
 }
@@ -216,11 +216,7 @@ fn on_faces(direction: DVec3) -> [(DVec2, f64); 6] {
 
 /// A panorama of `size` of faces with `side` px in the order of [`Face::ALL`], of which `value` says what a pixel has: the mean over
 /// what each of its pixels covers, [height × width].
-pub(crate) fn stitched(
-    size: [usize; 2],
-    side: usize,
-    value: impl Fn(usize, usize) -> [f32; 4] + Sync,
-) -> Vec<[f32; 4]> {
+pub fn stitched(size: [usize; 2], side: usize, value: impl Fn(usize, usize) -> [f32; 4] + Sync) -> Vec<[f32; 4]> {
     let of = |pixel: usize| {
         let (mut sum, mut taken) = ([0f32; 4], 0.0);
         let at = [pixel % size[0], pixel / size[0]];
@@ -245,7 +241,7 @@ pub(crate) fn stitched(
 
 /// [height × width] of a panorama of `size` the distances from its centre, of depths, camera-space z, of faces with `side` px in the
 /// order of [`Face::ALL`]; 0 where that is 0.
-pub(crate) fn stitched_depth(size: [usize; 2], side: usize, depth: impl Fn(usize, usize) -> f32 + Sync) -> Vec<f32> {
+pub fn stitched_depth(size: [usize; 2], side: usize, depth: impl Fn(usize, usize) -> f32 + Sync) -> Vec<f32> {
     let of = |pixel: usize| {
         let at = DVec2::new((pixel % size[0]) as f64 + 0.5, (pixel / size[0]) as f64 + 0.5);
         let direction = direction(at / DVec2::new(size[0] as f64, size[1] as f64));

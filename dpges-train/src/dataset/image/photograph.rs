@@ -15,7 +15,7 @@ use crate::dataset::error::{DatasetError, Result};
 use crate::dataset::{Picture, View};
 
 /// Photographs that are read ahead, at most.
-pub(crate) const MOST_PREFETCHED: usize = 16;
+pub const MOST_PREFETCHED: usize = 16;
 
 /// The photograph of a view.
 #[derive(Clone, Debug)]
@@ -205,7 +205,7 @@ impl Photograph {
 
 /// Begins to read in the background those of `photographs` that are not in memory, the first first, as far as there is room
 /// for them. Earlier requests that have not begun are forgotten.
-pub(crate) fn prefetch<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
+pub fn prefetch<'a>(photographs: impl IntoIterator<Item = &'a Photograph>) {
     let (mut wanted, mut cache, mut passing_bytes) = (Vec::new(), None, 0usize);
     for photograph in photographs {
         let in_file = match &photograph.place {

@@ -1,12 +1,5 @@
 //! A photograph in memory, 8 bits per value.
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
-use dpges_core::backend::device::is_gpu;
-use dpges_core::counters::transfers::upload;
-use dpges_core::losses::{PackedMask, Target};
-
-use crate::dataset::PackedPicture;
-
 /// A pixel with at most this alpha shows the background rather than what is before it.
 const TRANSPARENT: u8 = 127;
 
@@ -25,9 +18,11 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// An opaque picture of `planes` [3, height, width] in 0..1, rounded to 8 bits.
+    /// An opaque picture of `planes` [3, height, width], clamped to [0, 1] and rounded to 8 bits, halves to even numbers.
     pub fn from_planes(planes: &[f32], width: usize, height: usize) -> Self {
-        let bytes = dpges_render::Rgb8Image::from_planes(planes, width, height).bytes;
+        let area = width * height;
+        let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;
+        let bytes = (0..area).flat_map(|pixel| [0, 1, 2].map(|channel| byte(planes[channel * area + pixel]))).collect();
         Self { width, height, bytes, alpha: None, counted: None }
     }
 
@@ -38,30 +33,6 @@ impl Picture {
             planes.extend(self.bytes.iter().skip(channel).step_by(3).map(|&byte| unit(byte)));
         }
         planes
-    }
-
-    /// The picture on `device`, and which of its pixels count. It goes to a GPU with 8 bits per value.
-    ///
-    /// # Panics
-    /// If no pixel counts.
-    pub fn target(&self, device: &Device) -> Target {
-        if is_gpu(device) {
-            return PackedPicture::new(self, device).target();
-        }
-        let shape = [3, self.height, self.width];
-        let image = Tensor::from_data(upload(TensorData::new(self.planes(), shape)), (device, DType::F32));
-        Target { image, mask: self.mask(device).map(|mask| mask.mask()) }
-    }
-
-    /// Which of the pixels count, on `device`; `None` if all do.
-    ///
-    /// # Panics
-    /// If no pixel counts.
-    pub(in crate::dataset) fn mask(&self, device: &Device) -> Option<PackedMask> {
-        self.counted.as_ref().map(|counted| {
-            let mask = PackedMask::new(counted, self.width, self.height, device);
-            mask.expect("a mask of this size in which a pixel counts")
-        })
     }
 
     /// Number of pixels.

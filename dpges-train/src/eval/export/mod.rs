@@ -4,7 +4,6 @@ pub mod format;
 pub mod mesh;
 pub mod page;
 pub mod splats;
-pub mod streamed;
 
 use dpges_render::export::ExportError;
 
@@ -13,8 +12,6 @@ use dpges_render::export::ExportError;
 pub enum ExportFailure {
     #[error(transparent)]
     Export(#[from] ExportError),
-    #[error(transparent)]
-    Lod(#[from] crate::lod::LodError),
     #[error(transparent)]
     Core(#[from] dpges_core::Error),
 }

@@ -19,6 +19,7 @@ use crate::refine::growth::Growth;
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
 use crate::refine::lobes::{drop_lobes, spare_lobes};
 use crate::views::exposure::Correction;
+use crate::views::target::ToTarget;
 
 /// Enough to see most primitives several times.
 const JUDGING_VIEWS: usize = 24;

@@ -7,8 +7,7 @@ use dpges_core::scene::{GaussianData, Rendering, SceneInfo, ScreenFilter, Surfel
 
 use super::super::{Context, TrainError};
 use super::blended_depth::{BlendedMaps, ShownDepth};
-use crate::dataset::image::cache::least_recently_used;
-use crate::dataset::{PointCloud, View};
+use crate::dataset::{PointCloud, View, least_recently_used};
 use crate::init::flatten::flatten;
 use crate::init::fusion::{CHECKED_VIEWS, DepthViews, FusionRule, surface_points};
 use crate::init::sfm::usable_points;

@@ -17,6 +17,7 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Dataset, Picture, View, pictures, sampled};
+use crate::views::target::ToTarget;
 
 /// Pictures that differ by a larger gain, or by less than one over it, show different things.
 const MOST_GAIN: f64 = 4.0;

@@ -77,6 +77,7 @@ mod tests {
     use crate::dataset::Picture;
     use crate::run::fixtures::device;
     use crate::views::exposure::Correction;
+    use crate::views::target::ToTarget;
 
     #[test]
     fn a_camera_is_found_again_by_its_photograph_whatever_its_exposure() {

@@ -1,10 +1,43 @@
-//! A photograph on a device, 8 bits per value.
+//! Photographs on a device, where renders are compared with them.
 
-use burn::tensor::{Device, Int, Tensor};
+use burn::tensor::{DType, Device, Int, Tensor, TensorData};
+use dpges_core::backend::device::is_gpu;
+use dpges_core::counters::transfers::upload;
 use dpges_core::losses::{PackedMask, Target};
 use dpges_core::ops::unpack::{pack, unpack};
 
 use crate::dataset::Picture;
+
+/// What a render is compared with.
+pub trait ToTarget {
+    /// The picture on `device`, and which of its pixels count. It goes to a GPU with 8 bits per value.
+    ///
+    /// # Panics
+    /// If no pixel counts.
+    fn target(&self, device: &Device) -> Target;
+}
+
+impl ToTarget for Picture {
+    fn target(&self, device: &Device) -> Target {
+        if is_gpu(device) {
+            return PackedPicture::new(self, device).target();
+        }
+        let shape = [3, self.height, self.width];
+        let image = Tensor::from_data(upload(TensorData::new(self.planes(), shape)), (device, DType::F32));
+        Target { image, mask: mask(self, device).map(|mask| mask.mask()) }
+    }
+}
+
+/// Which of the pixels count, on `device`; `None` if all do.
+///
+/// # Panics
+/// If no pixel counts.
+fn mask(picture: &Picture, device: &Device) -> Option<PackedMask> {
+    picture.counted.as_ref().map(|counted| {
+        let mask = PackedMask::new(counted, picture.width, picture.height, device);
+        mask.expect("a mask of this size in which a pixel counts")
+    })
+}
 
 /// A picture that stays on a device, and which of its pixels count.
 #[derive(Clone, Debug)]
@@ -27,7 +60,7 @@ impl PackedPicture {
         Self {
             words: pack(&picture.bytes, &device.clone().inner()),
             shape: [3, picture.height, picture.width],
-            mask: picture.mask(device),
+            mask: mask(picture, device),
             on_tape: device.is_autodiff(),
         }
     }
@@ -38,7 +71,7 @@ impl PackedPicture {
         picture.bytes.len().next_multiple_of(size_of::<i32>()) + mask
     }
 
-    /// The picture to compare a render with, to the bit what [`Picture::target`] has.
+    /// The picture to compare a render with, to the bit what [`ToTarget::target`] has.
     pub fn target(&self) -> Target {
         let image = unpack(&self.words, self.shape).expect("words are those of this shape");
         let image = if self.on_tape { image.autodiff() } else { image };

@@ -7,8 +7,8 @@ use dpges_core::scene::{Rendering, SceneData};
 use dpges_render::export::SplatCloud;
 use dpges_render::export::sog::{INDEX, to_streamed_sog};
 
-use super::ExportFailure;
-use crate::lod::{self, LodError};
+use super::{LodError, Options};
+use crate::eval::export::ExportFailure;
 
 /// Checks that a scene of `rendering` has levels, and that `out` is absent, an empty folder, or an older export.
 ///
@@ -27,24 +27,24 @@ pub fn check(rendering: Rendering, out: &Path) -> Result<(), LodError> {
 /// it is complete. An older one takes its place until then. Leaves have at most `leaf_splats`. Returns what was written.
 ///
 /// # Errors
-/// Those of [`check`] and `splats`, [`LodError::Io`].
+/// Those of [`check`], [`LodError::Export`] from `splats`, [`LodError::Io`].
 pub fn write(
     scene: &SceneData,
     finest: SplatCloud,
     splats: impl Fn(&SceneData) -> Result<SplatCloud, ExportFailure>,
     leaf_splats: usize,
     out: &Path,
-) -> Result<Vec<(&'static str, String)>, ExportFailure> {
+) -> Result<Vec<(&'static str, String)>, LodError> {
     check(scene.info.rendering, out)?;
     let io = |source| LodError::Io { action: "cannot write", path: out.to_owned(), source };
     let parent = out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     fs::create_dir_all(parent).map_err(io)?;
     let partial = tempfile::Builder::new().prefix(".dpges-sog-").tempdir_in(parent).map_err(io)?;
-    let options = lod::Options { cell_primitives: leaf_splats, cameras: &[], fit: None };
-    let index = lod::write(scene.clone(), &options, &partial.path().join("levels"))?;
+    let options = Options { cell_primitives: leaf_splats, cameras: &[], fit: None };
+    let index = super::write(scene.clone(), &options, &partial.path().join("levels"))?;
     let mut levels = vec![finest];
     for level in 1..index.level_count() {
-        levels.push(splats(&lod::level(&index, level)?)?);
+        levels.push(splats(&super::level(&index, level)?)?);
     }
     let files = to_streamed_sog(&levels, leaf_splats);
     let folder = partial.path().join("sog");

@@ -1,18 +1,18 @@
-//! A level that learns to look like the whole scene in smaller pictures.
+//! A scene that learns to look like other pictures, without primitives that come or go.
 
 use burn::tensor::Device;
 use dpges_core::scene::SceneData;
 use dpges_core::scene::schema::OpacityActivation;
 
+use super::own_pictures::{StepStage, config, dataset, last_stage};
+use super::{StepReport, TrainError};
 use crate::dataset::View;
-use crate::run::own_pictures::{StepStage, config, dataset, last_stage};
-use crate::run::{StepReport, TrainError};
 use crate::stage::{self, StepViews, begin_step};
 
 /// Trains the primitives of `scene`, a peeled one, for `steps` steps of the joint stage on `views`. None comes or goes, each
 /// stays in its row, and the environment stays as it is. The image alone is learnt from: at the learning rates of the default
 /// configuration, without the terms that shape a scene which is still to be found.
-pub fn fit(scene: &SceneData, views: &[View], steps: usize, device: &Device) -> Result<SceneData, TrainError> {
+pub fn refit(scene: &SceneData, views: &[View], steps: usize, device: &Device) -> Result<SceneData, TrainError> {
     let mut config = config(scene, StepStage::Joint);
     config.train.steps = steps;
     config.model.opacity = OpacityActivation::Linear;
