@@ -18,12 +18,12 @@ use dpges_benches::joint::surfaces::{KnownView, TrueSurfels};
 use dpges_benches::machine;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
+use dpges_lab::study::spread::Spread;
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, View, builtin, load, pictures};
 use dpges_train::device::DeviceName;
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::run::Trainer;
-use dpges_train::study::spread::Spread;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 

@@ -11,9 +11,9 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::testing::scenes::realistic;
+use dpges_lab::lod::{CELL_PRIMITIVES, Options, describe, level, write};
 use dpges_train::device::DeviceName;
 use dpges_train::eval::rendered::Renderer;
-use dpges_train::lod::{CELL_PRIMITIVES, Options, describe, level, write};
 use dpges_train::run::scene::{Reading, Scene, every_nth};
 
 /// Cameras that levels are compared from, evenly chosen.

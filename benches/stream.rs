@@ -15,10 +15,10 @@ use dpges_benches::sized;
 use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_core::testing::scenes::realistic;
+use dpges_lab::lod::{self, CELL_PRIMITIVES, Options};
 use dpges_render::stream::{Levels, Loader, Source, Stream, decode};
 use dpges_render::{CameraPath, Headless, RenderOptions, Renderer, Rgb8Image};
 use dpges_train::eval::pictures::save_png;
-use dpges_train::lod::{self, CELL_PRIMITIVES, Options};
 use dpges_train::metrics::flip;
 use glam::DVec3;
 

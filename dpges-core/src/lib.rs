@@ -50,7 +50,7 @@ pub mod ranks;
 #[cfg(feature = "burn")]
 pub mod render;
 pub mod scene;
-#[cfg(any(test, feature = "testing"))]
+#[cfg(any(test, feature = "selftest"))]
 pub mod testing;
 #[cfg(feature = "burn")]
 pub mod tiles;

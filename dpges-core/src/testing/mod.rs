@@ -1,17 +1,22 @@
-//! Shared parts of tests of this crate and of its users: golden cases, gradient checks, random and extreme scenes.
+//! Golden cases, random and extreme scenes (feature `selftest`), gradient checks and other shared parts of tests (feature `testing`).
 
 pub mod compare;
 pub mod extremes;
 pub mod golden;
+#[cfg(any(test, feature = "testing"))]
 pub mod gradients;
-#[cfg(feature = "gpu")]
+#[cfg(all(feature = "gpu", any(test, feature = "testing")))]
 pub mod kernels;
+#[cfg(any(test, feature = "testing"))]
 pub mod lenses;
+#[cfg(any(test, feature = "testing"))]
 pub mod masked;
+#[cfg(any(test, feature = "testing"))]
 pub mod parity;
 #[cfg(any(feature = "ndarray", feature = "flex"))]
 pub mod precision;
 pub mod random;
+#[cfg(any(test, feature = "testing"))]
 pub mod ranks;
 pub mod scenes;
 

@@ -1,6 +1,6 @@
 //! Every key of the configuration: its meaning, default, unit, range and ablations.
 //!
-//! Documents that repeat them are made from this file; `dpges-train/tests/documents.rs` says how.
+//! Documents that repeat them are made from this file; `dpges-train/cli/tests/documents.rs` says how.
 
 use dpges_core::ops::peel::MAX_LAYERS;
 use dpges_core::scene::{ColourModel, DepthWeight, Footprint, OpacityActivation, Peeling, Transparency};

@@ -5,6 +5,7 @@ pub mod choices;
 pub mod declare;
 mod differences;
 pub mod document;
+pub mod duration;
 pub mod error;
 pub mod keys;
 mod loading;

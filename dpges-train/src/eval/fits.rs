@@ -9,11 +9,11 @@ use dpges_core::camera::Camera;
 use dpges_core::losses::{Mask, Target};
 
 use super::LARGEST_PSNR;
+use super::pose_fit::fitted_pose;
 use crate::dataset::{Picture, View};
 use crate::eval::rendered::Renderer;
 use crate::metrics::{Fitted, mean_ssim, psnr, quantised};
 use crate::views::exposure::Correction;
-use crate::views::pose::fit::fitted_pose;
 use crate::views::target::ToTarget;
 
 /// How well the right half of `image` shows that of `picture`, both [3, H, W], with the exposure that fits their left halves.

@@ -13,6 +13,7 @@ pub mod frame_rates;
 pub mod painted;
 pub mod pictures;
 pub mod popping;
+mod pose_fit;
 pub mod rendered;
 pub mod rendering_preset;
 pub mod simplify;

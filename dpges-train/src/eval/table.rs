@@ -3,8 +3,8 @@
 use super::floaters::Floaters;
 use super::popping::{Jumps, Popping};
 use super::{EvalReport, Evaluation, FrameMs};
+use crate::config::duration::Seconds;
 use crate::metrics::{METRICS, Metric, Scores};
-use crate::run::targets::duration::Seconds;
 
 impl EvalReport {
     /// For people. `worst` says what is worst and where its picture is, `notes` what was not measured.

@@ -1,5 +1,6 @@
 //! Adam over the attributes of a scene, and the edits of rows that keep its moments. All of it stays on the device.
 
+pub mod pose_step;
 pub mod rates;
 pub mod scene_state;
 

@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 
 use dpges_core::ops::adam::AdamStep;
 
+use super::pose_step::PoseStep;
 use crate::config::{OptimizerConfig, TrainConfig};
-use crate::views::pose::adam::PoseStep;
 
 /// Factor on the learning rate of colour corrections at the last step.
 const EXPOSURE_DECAY: f64 = 0.1;

@@ -4,9 +4,9 @@ use burn::tensor::Device;
 use serde::Serialize;
 
 use super::shell::quoted;
-use super::targets::duration::Seconds;
 use super::targets::{StepTimes, TargetError};
 use crate::config::Config;
+use crate::config::duration::Seconds;
 use crate::dataset::Dataset;
 use crate::dataset::source::Source;
 use crate::stage::{budget, mean_pixels};

@@ -17,6 +17,7 @@ mod report;
 mod sampling_limit;
 mod step;
 mod surroundings;
+mod view_states;
 mod weighted_sum;
 
 use std::sync::Arc;

@@ -1,12 +1,12 @@
 //! Depth maps beside the photographs as targets for the depth of a training view.
 
 use burn::tensor::{DType, Device, Tensor, TensorData};
+use dpges_core::Camera;
 use dpges_core::counters::transfers::upload;
 use dpges_core::losses::depth::{depth_map, fitted_disparity};
 use glam::Vec3;
 
 use crate::dataset::{Dataset, DepthKind, DepthMap, View};
-use crate::stage::Context;
 
 /// Fewest points of the dataset that give a relative map its scale and shift. Otherwise the render does.
 const FEWEST_POINTS: usize = 16;
@@ -74,6 +74,16 @@ impl DepthMaps {
         Some(Self(fits))
     }
 
+    /// The target from `map`, that of the training view with index `view` and `camera`, on `device`.
+    pub fn target(&self, map: &DepthMap, view: usize, camera: &Camera, weight: f64, device: &Device) -> DepthTarget {
+        let values = TensorData::new(self.disparities(map, view), [1, camera.height, camera.width]);
+        DepthTarget {
+            values: Tensor::from_data(upload(values), (device, DType::F32)),
+            is_relative: map.kind == DepthKind::Relative && self.0[view].is_none(),
+            weight,
+        }
+    }
+
     /// [H × W] disparities that `map`, that of the training view with index `view`, has once its scale and shift are known,
     /// or relative ones if only the render can give them these.
     fn disparities(&self, map: &DepthMap, view: usize) -> Vec<f32> {
@@ -120,25 +130,6 @@ fn rising_line(pairs: &[[f64; 2]]) -> Option<[f64; 2]> {
     let slope = sum(|x, y| x * y) / variance;
     let rises = variance > FLAT * pairs.len() as f64 && slope > 0.0;
     rises.then_some([slope, mean_y - slope * mean_x])
-}
-
-impl Context {
-    /// The depth maps that a run learns from; `None` without any.
-    pub fn start_of_depth(&self) -> Option<DepthMaps> {
-        if self.config.train.lambda_depth_maps > 0.0 { DepthMaps::new(&self.dataset) } else { None }
-    }
-
-    /// The target from the map of the training view with index `view` in the current step, on `device`.
-    pub fn depth_target(&self, view: usize, device: &Device) -> Option<DepthTarget> {
-        let (maps, map) = (self.depth.as_ref()?, self.dataset.train[view].depth.as_ref()?);
-        let camera = &self.dataset.train[view].camera;
-        let values = TensorData::new(maps.disparities(map, view), [1, camera.height, camera.width]);
-        Some(DepthTarget {
-            values: Tensor::from_data(upload(values), (device, DType::F32)),
-            is_relative: map.kind == DepthKind::Relative && maps.0[view].is_none(),
-            weight: self.config.train.depth_map_weight(self.progress()),
-        })
-    }
 }
 
 #[cfg(test)]

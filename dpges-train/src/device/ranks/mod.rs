@@ -30,7 +30,7 @@ pub struct Launched {
 pub enum JobError {
     #[error(
         "this is process {rank} of {count} that an MPI launcher has started, and this dpges was built without MPI: build it \
-         with `cargo build --release -p dpges-train --features mpi`, or start it without `mpirun`"
+         with `cargo build --release -p dpges --features mpi`, or start it without `mpirun`"
     )]
     NoMpi { rank: usize, count: usize },
     #[error(

@@ -1,6 +1,5 @@
 //! Targets of a run, a time or a speed: a small model of measurements sets its steps or its budget.
 
-pub mod duration;
 mod speed;
 mod time;
 
@@ -19,6 +18,7 @@ use super::TrainError;
 use super::folder::{RunFolder, read_json, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
+use crate::config::duration::duration;
 use crate::dataset::Dataset;
 use crate::eval::{EvalReport, TargetReport};
 pub use time::StepTimes;
@@ -102,7 +102,7 @@ fn wanted(text: &str) -> Result<Wanted, String> {
         (Some(rate), _) if rate.is_finite() && rate > 0.0 => Ok(Wanted::FramesPerSecond(rate)),
         (Some(_), _) => Err(format!("`{text}` is not a positive, finite number of fps")),
         (None, Some(size)) => Err(format!("`{text}` is a size, which is a budget: write `--budget {size}MB`")),
-        (None, None) => duration::duration(text)
+        (None, None) => duration(text)
             .map(Wanted::Time)
             .map_err(|error| format!("{error}, or a speed of the real-time renderer, such as 30fps")),
     }

@@ -6,10 +6,8 @@ use burn::tensor::{Device, Tensor};
 use dpges_core::ops::adam::AdamStep;
 use dpges_core::scene::schema::{Activation, Attribute, RateGroup, Width};
 
-use crate::config::Exposure;
 use crate::optimizer::{NamedGradient, Parameter, ParameterRows};
-use crate::stage::{Context, TrainError};
-use crate::views::exposure::{Correction, brightness_spread};
+use crate::views::exposure::Correction;
 
 /// [views, 6]: of each training view three logarithms of gains, three offsets.
 static EXPOSURE: Attribute = Attribute {
@@ -70,40 +68,6 @@ pub fn step(
 pub fn photographed(image: Tensor<3>, correction: &Tensor<2>) -> Tensor<3> {
     let part = |from: usize| correction.clone().slice([0..1, from..from + 3]).reshape([3, 1, 1]);
     image * part(0).exp() + part(3)
-}
-
-impl Context {
-    /// The corrections that a run begins with.
-    ///
-    /// # Errors
-    /// [`TrainError::Core`] if a photograph cannot be read again.
-    pub fn start_of_exposure(&self) -> Result<ExposureState, TrainError> {
-        let spread = brightness_spread(&self.dataset)?;
-        let said = match spread {
-            Some(stops) => format!(
-                "the brightness of the same points differs by {stops:.2} stops between photographs, by standard deviation"
-            ),
-            None => "which photographs are brighter is not known without points that they show".to_owned(),
-        };
-        let is_large = spread.is_some_and(|stops| stops > LARGE_SPREAD);
-        let is_on = match self.config.train.exposure {
-            Exposure::On => true,
-            Exposure::Off => false,
-            Exposure::Auto => is_large,
-        };
-        match (is_on, is_large) {
-            (true, _) => tracing::info!("{said}: exposures are corrected (train.exposure)"),
-            (false, true) => tracing::info!("{said}: train.exposure = \"on\" corrects exposures"),
-            (false, false) => tracing::debug!("{said}: photographs are taken as they are (train.exposure)"),
-        }
-        Ok(if is_on { fresh(self.dataset.train.len(), &self.device) } else { None })
-    }
-
-    /// The step of the corrections in the current step of the run, on a `batch` of views.
-    pub fn exposure_step(&self, batch: usize) -> AdamStep {
-        let learning_rate = self.config.optimizer.exposure_rate(self.progress()) * (batch as f64).sqrt();
-        AdamStep { learning_rate, ..self.config.optimizer.adam(self.completed_steps, batch) }
-    }
 }
 
 #[cfg(test)]

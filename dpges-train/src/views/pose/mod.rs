@@ -1,7 +1,5 @@
 //! Small corrections of where the cameras of photographs stand and look.
 
-pub mod adam;
-pub mod fit;
 pub mod gauge;
 pub(crate) mod refinement;
 

@@ -4,19 +4,15 @@
 //! on the host. So that no GPU is waited for, a gradient takes effect before the step after the next, on every device.
 
 use std::collections::{BTreeMap, HashMap};
-use std::sync::Arc;
 
-use burn::tensor::DType;
 use dpges_core::camera::CameraFromWorld;
-use dpges_core::render::pose::PoseProbe;
 
 use crate::config::Poses;
 use crate::dataset::Dataset;
 use crate::optimizer::ParameterRows;
-use crate::stage::Context;
-use crate::views::pose::adam::PoseStep;
+use crate::optimizer::pose_step::PoseStep;
+use crate::views::pose::PoseCorrection;
 use crate::views::pose::gauge::Gauge;
-use crate::views::pose::{PoseChanges, PoseCorrection, RefinedPose, RefinedPoses};
 
 /// Name of the corrections, and of their steps and gradients, in a checkpoint.
 pub const POSES: &str = "poses";
@@ -134,6 +130,11 @@ impl PoseState {
         self.0.is_some()
     }
 
+    /// Poses of the training views as they were recorded, by their indices; empty in runs without corrections.
+    pub fn recorded(&self) -> &[CameraFromWorld] {
+        self.0.as_ref().map_or(&[], |refinement| &refinement.recorded)
+    }
+
     /// Corrections of the training views, by their indices; empty in runs without any.
     pub fn corrections(&self) -> Vec<PoseCorrection> {
         self.0.iter().flat_map(|refinement| &refinement.corrections).map(PoseCorrection::of_row).collect()
@@ -148,7 +149,7 @@ impl PoseState {
 
     /// Lets the gradients take effect whose steps were taken before the last of `completed`, and takes away what all views
     /// have in common. Returns whether there were any. `step_of` says how the step after so many was taken.
-    fn advance(&mut self, completed: usize, step_of: impl Fn(usize) -> PoseStep) -> bool {
+    pub fn advance(&mut self, completed: usize, step_of: impl Fn(usize) -> PoseStep) -> bool {
         let Some(refinement) = &mut self.0 else { return false };
         let (due, later): (Vec<Waiting>, Vec<Waiting>) =
             std::mem::take(&mut refinement.waiting).into_iter().partition(|waiting| waiting.step < completed);
@@ -181,66 +182,6 @@ pub fn are_learnt(poses: Poses, dataset: &Dataset) -> bool {
         Poses::Off => false,
         Poses::On => true,
         Poses::Auto => dataset.reprojection_px.is_some_and(|px| px > LARGE_PX),
-    }
-}
-
-impl Context {
-    /// The corrections that a run begins with.
-    pub fn start_of_poses(&self) -> PoseState {
-        let is_on = are_learnt(self.config.train.poses, &self.dataset);
-        if let (Some(px), false) = (self.dataset.reprojection_px.filter(|&px| px > LARGE_PX), is_on) {
-            tracing::info!(
-                "points are {px:.1} px from where photographs show them: train.poses = \"on\" corrects cameras"
-            );
-        }
-        if is_on { PoseState::new(&self.dataset) } else { PoseState::default() }
-    }
-
-    /// Receives the gradient of the pose of the training view with index `view`; `None` if poses are not learnt, or not
-    /// yet.
-    pub fn pose_probe(&self, view: usize) -> Option<PoseProbe> {
-        let learnt = self.poses.is_on() && self.config.optimizer.poses_are_learnt(self.progress());
-        learnt.then(|| PoseProbe::new(&self.dataset.train[view].camera, &self.tape(), DType::F32))
-    }
-
-    /// Moves cameras as the gradients say that are due. Before every step.
-    pub fn refine_poses(&mut self) {
-        let (optimizer, steps, extent) = (&self.config.optimizer, self.config.total_steps(), self.dataset.extent);
-        if self.poses.advance(self.completed_steps, |completed| optimizer.pose_step(completed, steps, extent)) {
-            self.place_cameras();
-        }
-    }
-
-    /// Puts the cameras of the training views where they are by their corrections, if there are any.
-    pub fn place_cameras(&mut self) {
-        let Some(Refinement { recorded, corrections, .. }) = &self.poses.0 else { return };
-        let views = &mut Arc::make_mut(&mut self.dataset).train;
-        for ((view, recorded), row) in views.iter_mut().zip(recorded).zip(corrections) {
-            view.camera.camera_from_world = PoseCorrection::of_row(row).applied(recorded);
-        }
-    }
-
-    /// The dataset with its cameras as they were recorded: for what has to be the same whenever it is looked at.
-    pub fn recorded(&self) -> Arc<Dataset> {
-        let mut dataset = self.dataset.clone();
-        if let Some(Refinement { recorded, .. }) = &self.poses.0 {
-            let views = Arc::make_mut(&mut dataset).train.iter_mut();
-            views.zip(recorded).for_each(|(view, recorded)| view.camera.camera_from_world = *recorded);
-        }
-        dataset
-    }
-
-    /// The poses of the training views by name; `None` if they are as they were recorded.
-    pub fn refined_poses(&self) -> Option<RefinedPoses> {
-        let Refinement { recorded, .. } = self.poses.0.as_ref()?;
-        let poses = self.poses.corrections().into_iter().zip(recorded);
-        let poses = poses.map(|(correction, recorded)| RefinedPose::new(correction, recorded, self.dataset.offset));
-        Some(self.dataset.train.iter().map(|view| view.name.clone()).zip(poses).collect())
-    }
-
-    /// How far cameras have been moved; `None` if they are where they were recorded.
-    pub fn pose_changes(&self) -> Option<PoseChanges> {
-        self.poses.is_on().then(|| PoseChanges::of(&self.poses.corrections(), self.dataset.extent))
     }
 }
 

@@ -1,0 +1,263 @@
+//! nerfstudio datasets (<https://docs.nerf.studio/quickstart/data_conventions.html>): `transforms.json` with
+//! intrinsics for all or for each frame, lens distortion, and an optional point cloud in the frame of the poses; and
+//! NeRF-Synthetic scenes of Blender: `transforms_{train,val,test}.json`, one field of view, RGBA images, no points.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use super::source::{Source, Split};
+use super::transforms::{Transforms, read_transforms};
+use super::{ply, split};
+use crate::error::Result;
+use crate::finding::Kind;
+use crate::key::{key, parent};
+use crate::layout::Layout;
+use crate::{Format, LoadOptions};
+
+/// Held-out frames are, in this order of preference: `test_filenames` of the file `train`, its `val_filenames`, the frames of the
+/// file `held_out`, those that lists of names in the folder say, every n-th frame by name.
+///
+/// # Errors
+/// [`crate::DatasetError`] from [`super::transforms`], and for a point cloud that cannot be read.
+pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, options: &LoadOptions) -> Result<Source> {
+    let folder = &layout.folder;
+    let transforms = read_transforms(train)?;
+    let is_of_blender = layout.format() == Format::Blender && transforms.is_of_blender();
+    let format = if is_of_blender { Format::Blender } else { Format::Nerfstudio };
+    let mut source = Source::new(format, train.to_owned(), "the file that lists held-out frames lists none that exist");
+    transforms.add_frames(folder, train, Split::Train, &mut source)?;
+    if let Some(split) = listed_split(&transforms) {
+        source.frames.iter_mut().for_each(|frame| frame.split = split(&key(&frame.name)));
+        let known: BTreeSet<String> = source.frames.iter().map(|frame| key(&frame.name)).collect();
+        let missing: BTreeSet<String> = source.missing.iter().map(|path| folder.key_of(path)).collect();
+        let is_strange = |name: &&String| [&known, &missing].iter().all(|names| !names.contains(&key(name)));
+        let strangers: Vec<&String> = transforms.listed().into_iter().flatten().flatten().filter(is_strange).collect();
+        let what = format!("names in the lists of {} are those of no view", train.display());
+        source.notices.add_names(Kind::Missing, &what, &strangers, "correct or remove them");
+    } else if let Some(path) = held_out {
+        read_transforms(path)?.add_frames(folder, path, Split::Test, &mut source)?;
+        // a view that is in both is held out
+        source.frames.sort_by(|a, b| (&a.name, a.split == Split::Train).cmp(&(&b.name, b.split == Split::Train)));
+        source.frames.dedup_by(|a, b| a.name == b.name);
+    } else {
+        let names: Vec<String> = source.frames.iter().map(|frame| frame.name.clone()).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let splits = split::from_lists(&[&folder.root], &names, &mut source)?;
+        let splits = splits.unwrap_or_else(|| split::every_nth(names.len(), options.test_every));
+        source.frames.iter_mut().zip(splits).for_each(|(frame, split)| frame.split = split);
+    }
+    let cloud = |path: String| folder.get(&path).or_else(|| folder.get(parent(&key(&path)).1)).cloned().ok_or(path);
+    let named = transforms.ply_file_path.map(cloud).transpose();
+    source.points = match named {
+        Ok(Some(path)) => {
+            let points = ply::points(&path)?;
+            source.used.push(path);
+            points
+        }
+        Ok(None) => ply::beside(folder, &folder.root, &mut source.used)?,
+        Err(path) => {
+            let message = format!("the points that {} names are not there: {path}", train.display());
+            source.notices.add(Kind::Missing, message, "restore the file, or remove `ply_file_path`");
+            ply::beside(folder, &folder.root, &mut source.used)?
+        }
+    };
+    Ok(source)
+}
+
+/// The split by `train_filenames`, `test_filenames` and `val_filenames`, of the keys of names. Frames in none of them are omitted,
+/// or are training frames if there is no `train_filenames`.
+fn listed_split(transforms: &Transforms) -> Option<impl Fn(&str) -> Split> {
+    let set = |names: &Option<Vec<String>>| -> Option<BTreeSet<String>> {
+        names.as_ref().map(|names| names.iter().map(|name| key(name)).collect())
+    };
+    let [train, test, val] = transforms.listed().map(set);
+    let (held_out, unused) = match test {
+        Some(test) => (Some(test), val),
+        None => (val, None),
+    };
+    (train.is_some() || held_out.is_some()).then_some(move |frame: &str| {
+        let within = |set: &Option<BTreeSet<String>>| set.as_ref().is_some_and(|set| set.contains(frame));
+        if within(&held_out) {
+            Split::Test
+        } else if within(&unused) || (train.is_some() && !within(&train)) {
+            Split::Neither
+        } else {
+            Split::Train
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::{
+        self, assert_refused, assert_says, nerfstudio_frame, said, transform_matrix, write_transforms,
+    };
+    use crate::load;
+
+    fn frame(folder: &Path, index: usize, extra: &str) -> String {
+        nerfstudio_frame(folder, &format!("{index:02}"), [index, 10], extra)
+    }
+
+    const GLOBAL: &str = r#""camera_model": "OPENCV", "w": 24, "h": 16, "fl_x": 20.0, "fl_y": 21.0, "cx": 12.5,
+        "cy": 8.0, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0"#;
+
+    #[test]
+    fn a_frame_overrides_the_intrinsics_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let own = frame(folder.path(), 2, r#""fl_x": 30.0, "cx": 11.0,"#);
+        let frames = [frame(folder.path(), 0, ""), frame(folder.path(), 1, ""), own];
+        write_transforms(&folder.path().join("transforms.json"), GLOBAL, &frames);
+        let data = load(folder.path(), &LoadOptions { test_every: 2, ..Default::default() }).unwrap();
+        assert_eq!((data.format, data.near, data.background), (Format::Nerfstudio, 2.5e-3 * data.extent, [0.0; 3]));
+        let camera = data.train[0].camera;
+        assert_eq!((camera.fx, camera.fy, camera.cx, camera.cy), (20.0, 21.0, 12.5, 8.0));
+        assert!((camera.centre() - fixtures::pose(1, 10).centre()).length() < 1e-9);
+        let camera = data.test[1].camera;
+        assert_eq!((camera.fx, camera.fy, camera.cx, camera.cy), (30.0, 21.0, 11.0, 8.0));
+        assert!(data.points.positions.is_empty());
+    }
+
+    #[test]
+    fn distorted_frames_are_undistorted() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |k1: &str| {
+            let frames: Vec<_> = (0..3).map(|i| frame(folder.path(), i, k1)).collect();
+            write_transforms(&folder.path().join("transforms.json"), r#""camera_angle_x": 1.0"#, &frames);
+        };
+        write(r#""k1": 0.2,"#);
+        let camera = load(folder.path(), &LoadOptions::default()).unwrap().train[0].camera;
+        assert!(camera.fx > 12.0 / 0.5f64.tan() && camera.cx == 12.0, "{camera:?}");
+        write(r#""k1": 90.0,"#);
+        assert_refused(folder.path(), &LoadOptions::default(), &["transforms.json", "cannot be undone"]);
+    }
+
+    #[test]
+    fn held_out_frames_come_from_lists_or_files_or_every_eighth() {
+        let folder = tempfile::tempdir().unwrap();
+        let frames: Vec<_> = (0..10).map(|i| frame(folder.path(), i, "")).collect();
+        let write =
+            |file: &str, header: &str, frames: &[String]| write_transforms(&folder.path().join(file), header, frames);
+        let sizes = || {
+            let data = load(folder.path(), &LoadOptions::default()).unwrap();
+            (data.train.len(), data.test.iter().map(|view| view.name[7..9].to_owned()).collect::<Vec<_>>().join(" "))
+        };
+        write("transforms.json", GLOBAL, &frames);
+        assert_eq!(sizes(), (8, "00 08".to_owned()));
+        write("transforms_val.json", GLOBAL, &frames[3..5]);
+        assert_eq!(sizes(), (8, "03 04".to_owned()));
+        write("transforms_test.json", GLOBAL, &frames[9..]);
+        assert_eq!(sizes(), (9, "09".to_owned()));
+        let lists = r#", "train_filenames": ["images/00.png", "./Images/01.png"],
+            "val_filenames": ["images\\02.png", "images/20.png"]"#;
+        write("transforms.json", &format!("{GLOBAL}{lists}"), &frames);
+        assert_eq!(sizes(), (2, "02".to_owned()));
+        let said = said(&load(folder.path(), &LoadOptions::default()).unwrap());
+        assert_says(said, &["transforms.json are those of no view (1): images/20.png", "left out (7): images/03.png"]);
+        write("transforms.json", &format!(r#"{GLOBAL}, "test_filenames": ["gone.png"]"#), &frames);
+        assert_refused(folder.path(), &LoadOptions::default(), &["transforms.json: no test views"]);
+    }
+
+    #[test]
+    fn unusable_cameras_name_file_and_model() {
+        let folder = tempfile::tempdir().unwrap();
+        let frames: Vec<_> = (0..2).map(|i| frame(folder.path(), i, "")).collect();
+        let cases = [
+            (
+                GLOBAL.replace("OPENCV", "FISHEYE624"),
+                "camera model FISHEYE624 of view `images/00.png` is not supported: it is unknown here",
+            ),
+            (r#""w": 24, "h": 16"#.to_owned(), "view `images/00.png` has neither"),
+            (GLOBAL.replace("20.0", "-20.0"), "view `images/00.png`: camera `fx` is -20"),
+        ];
+        for (header, expected) in cases {
+            write_transforms(&folder.path().join("transforms.json"), &header, &frames);
+            assert_refused(folder.path(), &LoadOptions::default(), &[&format!("transforms.json: {expected}")]);
+        }
+    }
+
+    /// RGBA pictures of 20 × 10 px without an extension, and their file in the layout of Blender.
+    fn write_blender(folder: &Path, file: &str, names: &[&str]) {
+        let frame = |(index, name): (usize, &&str)| {
+            fixtures::write_rgba(&folder.join(format!("{name}.png")), 20, 10, [255, 0, 0, 51]);
+            let matrix = transform_matrix(&fixtures::pose(index, names.len()));
+            format!(r#"{{"file_path": "./{name}", "rotation": 0.1, "transform_matrix": {matrix}}}"#)
+        };
+        let frames: Vec<String> = names.iter().enumerate().map(frame).collect();
+        write_transforms(&folder.join(file), r#""camera_angle_x": 0.8"#, &frames);
+    }
+
+    #[test]
+    fn scenes_of_blender_have_a_field_of_view_alpha_and_a_split() {
+        let folder = tempfile::tempdir().unwrap();
+        write_blender(folder.path(), "transforms_train.json", &["train/r_0", "train/r_1", "train/r_2"]);
+        write_blender(folder.path(), "transforms_val.json", &["val/r_0"]);
+        let data = load(folder.path(), &LoadOptions::default()).unwrap();
+        assert_eq!((data.format, data.background), (Format::Blender, [1.0; 3]));
+        assert_eq!((data.train.len(), data.test.len(), data.points.positions.len()), (3, 1, 0));
+        let camera = data.train[1].camera;
+        let expected = fixtures::pose(1, 3);
+        assert!((camera.camera_from_world.rotation - expected.rotation).to_cols_array().iter().all(|e| e.abs() < 1e-9));
+        assert!((camera.centre() - expected.centre()).length() < 1e-9);
+        assert!((camera.fx - 10.0 / 0.4f64.tan()).abs() < 1e-12);
+        assert_eq!((camera.fy, camera.cx, camera.cy), (camera.fx, 10.0, 5.0));
+        assert_eq!(data.train[0].picture().unwrap().rgb(4, 4), [1.0, 0.8, 0.8]);
+
+        write_blender(folder.path(), "transforms_test.json", &["test/r_0", "test/r_1"]);
+        let black = LoadOptions { background: Some([0.0; 3]), ..Default::default() };
+        let data = load(folder.path(), &black).unwrap();
+        assert_eq!((data.test.len(), data.test[0].name.as_str()), (2, "test/r_0"));
+        assert_eq!(data.train[0].picture().unwrap().rgb(4, 4), [0.2, 0.0, 0.0]);
+        assert_says(said(&data), &["transforms_val.json is not used"]);
+    }
+
+    #[test]
+    fn a_scene_of_blender_may_have_one_file_and_points() {
+        let folder = tempfile::tempdir().unwrap();
+        let (at, file) = (folder.path(), "transform_train.json");
+        let names: Vec<String> = (0..9).map(|index| format!("train/r_{index}")).collect();
+        write_blender(at, file, &names.iter().map(String::as_str).collect::<Vec<_>>());
+        let header = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+        std::fs::write(at.join("points3d.ply"), format!("{header}end_header\n1 2 3\n")).unwrap();
+        for path in [at.to_owned(), at.join(file)] {
+            let data = load(&path, &LoadOptions::default()).unwrap();
+            assert_eq!((data.train.len(), data.test.len()), (7, 2));
+            assert_eq!((data.points.positions, data.points.colours), (vec![[1.0, 2.0, 3.0]], vec![[0.5; 3]]));
+        }
+        let scaled = LoadOptions { image_scale: Some(4), ..LoadOptions::default() };
+        assert_refused(at, &scaled, &["images_4"]);
+        std::fs::write(at.join(file), r#"{"frames": []}"#).unwrap();
+        assert_refused(at, &LoadOptions::default(), &["transform_train.json: no views"]);
+        std::fs::write(at.join(file), r#"{"frames": [NaN]}"#).unwrap();
+        assert_refused(at, &LoadOptions::default(), &[file, "line 1"]);
+    }
+
+    #[test]
+    fn words_of_instant_ngp_are_understood_or_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let frames: Vec<_> = (0..2).map(|i| frame(folder.path(), i, "")).collect();
+        let path = folder.path().join("transforms.json");
+        let read = |header: &str| {
+            write_transforms(&path, header, &frames);
+            load(&path, &LoadOptions { undistort: false, ..LoadOptions::default() })
+        };
+        let of = |header: &str| read(header).unwrap().train[0].camera;
+        let fisheye = of(r#""is_fisheye": true, "fl_x": 12.0, "k1": 0.05, "aabb_scale": 16"#);
+        assert!(fisheye.lens.is_some_and(|lens| lens.is_wide()));
+        let same = of(r#""camera_model": "opencv_fisheye", "fl_x": 12.0, "k1": 0.05, "k5": 0.0"#);
+        assert_eq!(fisheye, same);
+        let angle = 2.0 * (8.0f64 / 20.0).atan();
+        for header in [r#""fl_y": 20.0"#.to_owned(), format!(r#""camera_angle_y": {angle}, "is_fisheye": false"#)] {
+            let camera = of(&header);
+            assert!((camera.fx - 20.0).abs() < 1e-12 && camera.fy == camera.fx && camera.lens.is_none(), "{header}");
+        }
+        for (words, named) in [
+            (r#""equirectangular": true"#, "equirectangular"),
+            (r#""ftheta_p0": 0.0, "ftheta_p1": 0.006"#, "ftheta_p1"),
+            (r#""distortion_params": [0, 0.1]"#, "distortion_params"),
+            (r#""camera_model": "PINHOLE", "is_fisheye": true"#, "`is_fisheye` contradicts it"),
+        ] {
+            assert_says(read(&format!(r#""fl_x": 20.0, {words}"#)).unwrap_err(), &["transforms.json", named]);
+        }
+    }
+}

@@ -1,0 +1,370 @@
+//! `transforms*.json`, which Blender, instant-ngp and nerfstudio datasets share.
+//!
+//! Poses map camera to world with OpenGL axes (y up, looking along −z). Intrinsics at the top level apply to all
+//! frames, intrinsics in a frame to that frame.
+
+use std::path::Path;
+
+use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Projection};
+use glam::{DMat3, DQuat, DVec3};
+use serde::Deserialize;
+use serde_json::{Map, Value};
+
+use super::source::{DepthFile, Frame, PanoramaPart, Source, Split, lens};
+use crate::error::{DatasetError, Result, read_text};
+use crate::folder::Folder;
+use crate::image::codec;
+use crate::image::depth::DEFAULT_UNIT;
+
+/// Largest entry of RᵀR / s² − I, where s is the scale of R, with which a pose is made a rotation; other poses are refused.
+const MOST_SHEARED: f64 = 0.03;
+/// The same, and the difference of s from 1, up to which that is not said.
+const ROUNDED: f64 = 2e-3;
+/// The expectation of a pose, for messages.
+pub(super) const ROTATION: &str = "a rotation without shear or mirroring";
+/// Beginnings of keys of a lens that the others do not describe, and whole ones.
+const LENS_WORDS: [&str; 9] = [
+    "ftheta",
+    "equirectangular",
+    "latlong",
+    "orthographic",
+    "panorama",
+    "spherical",
+    "distortion",
+    "fisheye_p",
+    "omnidirectional",
+];
+const LENS_COEFFICIENTS: [&str; 8] = ["k5", "k6", "s1", "s2", "s3", "s4", "xi", "omega"];
+
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct Transforms {
+    /// World units of depth of a step of the depth maps; 0.001 if absent.
+    depth_unit_scale_factor: Option<f64>,
+    /// Point cloud in the frame of the poses.
+    pub ply_file_path: Option<String>,
+    train_filenames: Option<Vec<String>>,
+    val_filenames: Option<Vec<String>>,
+    test_filenames: Option<Vec<String>>,
+    frames: Vec<JsonFrame>,
+    /// [`Intrinsics`] of all frames.
+    #[serde(flatten)]
+    intrinsics: Map<String, Value>,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+struct JsonFrame {
+    file_path: String,
+    mask_path: Option<String>,
+    /// 4×4 or 3×4, row by row.
+    transform_matrix: Vec<Vec<f64>>,
+    depth_file_path: Option<String>,
+    /// Its own, which take the place of those of all.
+    #[serde(flatten)]
+    intrinsics: Map<String, Value>,
+}
+
+/// Lengths in px, angles in radians.
+#[derive(Clone, Debug, Deserialize)]
+struct Intrinsics {
+    camera_model: Option<String>,
+    is_fisheye: Option<bool>,
+    w: Option<f64>,
+    h: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+    /// Horizontal and vertical field of view.
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    #[serde(flatten)]
+    others: Map<String, Value>,
+}
+
+/// # Errors
+/// [`DatasetError::Read`], [`DatasetError::Json`].
+pub(crate) fn read_transforms(path: &Path) -> Result<Transforms> {
+    serde_json::from_str(&read_text(path)?).map_err(|source| DatasetError::Json { path: path.to_owned(), source })
+}
+
+/// The path a dataset gives a file, with `/` between its parts and without the leading `./`.
+pub(super) fn name(file_path: &str) -> String {
+    file_path.replace('\\', "/").trim_start_matches("./").to_owned()
+}
+
+/// The cameras of the file at `path` and their names, in its order; `None` if it is JSON without frames. Photographs need not be
+/// there.
+///
+/// # Errors
+/// As [`Transforms::frames`].
+pub(crate) fn cameras(path: &Path) -> Result<Option<Vec<(String, Camera)>>> {
+    let json = |source| DatasetError::Json { path: path.to_owned(), source };
+    let text = read_text(path)?;
+    if !serde_json::from_str::<Value>(&text).is_ok_and(|file| file.get("frames").is_some()) {
+        return Ok(None);
+    }
+    let file: Transforms = serde_json::from_str(&text).map_err(json)?;
+    let root = path.parent().unwrap_or(path);
+    let camera = |frame: &JsonFrame| {
+        let name = name(&frame.file_path);
+        let (camera_from_world, _) = camera_from_world(path, &name, &frame.transform_matrix)?;
+        let (camera, _) = file.intrinsics_of(frame, path)?.camera(path, &name, &root.join(&name), camera_from_world)?;
+        Ok((name, camera))
+    };
+    file.frames.iter().map(camera).collect::<Result<_>>().map(Some)
+}
+
+impl Transforms {
+    /// The pictures that the frames name.
+    pub fn picture_names(&self) -> Vec<String> {
+        self.frames.iter().map(|frame| name(&frame.file_path)).collect()
+    }
+
+    /// The lists of names of pictures to train on, to test on, and to validate on.
+    pub fn listed(&self) -> [&Option<Vec<String>>; 3] {
+        [&self.train_filenames, &self.test_filenames, &self.val_filenames]
+    }
+
+    /// Whether it has no more than Blender's: a field of view for all pictures.
+    pub fn is_of_blender(&self) -> bool {
+        let has = |key: &&str| self.intrinsics.contains_key(*key);
+        self.ply_file_path.is_none() && !["camera_model", "w", "fl_x", "fl_y"].iter().any(has)
+    }
+
+    /// Those of `frame` in the file at `path`: its own before those of all.
+    fn intrinsics_of(&self, frame: &JsonFrame, path: &Path) -> Result<Intrinsics> {
+        let mut own = self.intrinsics.clone();
+        own.extend(frame.intrinsics.clone());
+        serde_json::from_value(own.into()).map_err(|source| DatasetError::Json { path: path.to_owned(), source })
+    }
+
+    /// Adds the frames of the file at `path` whose pictures are in `folder` to `source`, all in `split`, sorted by name.
+    ///
+    /// # Errors
+    /// [`DatasetError`] for unknown lenses, poses that are no rigid motions.
+    pub fn add_frames(&self, folder: &Folder, path: &Path, split: Split, source: &mut Source) -> Result<()> {
+        let unit = self.depth_unit_scale_factor.unwrap_or(DEFAULT_UNIT);
+        if !(unit.is_finite() && unit > 0.0) {
+            let what = "`depth_unit_scale_factor`".to_owned();
+            return Err(DatasetError::malformed(path, what, unit, "a positive number"));
+        }
+        let names = self.picture_names();
+        let pictures = folder.pictures(&names.iter().map(String::as_str).collect::<Vec<_>>(), &[""]);
+        let file = |path: &str| folder.get(path).cloned().unwrap_or_else(|| folder.root.join(name(path)));
+        let mut scaled = Vec::new();
+        for ((frame, name), image) in self.frames.iter().zip(names).zip(pictures) {
+            let Some(image) = image else {
+                source.missing.push(folder.root.join(name));
+                continue;
+            };
+            let intrinsics = self.intrinsics_of(frame, path)?;
+            let (camera_from_world, scale) = camera_from_world(path, &name, &frame.transform_matrix)?;
+            scaled.extend(scale.map(|scale| (name.clone(), scale)));
+            let (camera, panorama) = intrinsics.camera(path, &name, &image, camera_from_world)?;
+            source.frames.push(Frame {
+                camera,
+                panorama,
+                name,
+                image,
+                mask: frame.mask_path.as_deref().map(file),
+                is_sized: intrinsics.w.is_some() && intrinsics.h.is_some(),
+                header: None,
+                split,
+                described_in: path.to_owned(),
+                depth: frame.depth_file_path.as_deref().map(|path| DepthFile { path: file(path), unit }),
+            });
+        }
+        source.frames.sort_by(|a, b| a.name.cmp(&b.name));
+        source.say_scaled(&scaled);
+        source.used.push(path.to_owned());
+        Ok(())
+    }
+}
+
+/// Negates the y and z columns (OpenGL to OpenCV axes) and inverts. Returns the scale of the rotation, too, if that is not quite
+/// one.
+fn camera_from_world(path: &Path, view: &str, matrix: &[Vec<f64>]) -> Result<(CameraFromWorld, Option<f64>)> {
+    let malformed = |found: String, expected| {
+        DatasetError::malformed(path, format!("the transform_matrix of view `{view}`"), found, expected)
+    };
+    if matrix.len() < 3 || matrix.iter().any(|row| row.len() != 4) {
+        let columns: Vec<usize> = matrix.iter().map(Vec::len).collect();
+        return Err(malformed(format!("of rows of {columns:?} numbers"), "3 or 4 rows of 4 numbers"));
+    }
+    let column = |j: usize| DVec3::new(matrix[0][j], matrix[1][j], matrix[2][j]);
+    let world_from_camera = DMat3::from_cols(column(0), -column(1), -column(2));
+    let centre = column(3);
+    if !world_from_camera.is_finite() || !centre.is_finite() {
+        return Err(malformed(format!("{matrix:?}"), "finite numbers"));
+    }
+    rigid(world_from_camera, centre).ok_or_else(|| malformed(format!("{matrix:?}"), ROTATION))
+}
+
+/// The pose of a camera at `centre` whose OpenCV axes are the columns of a matrix, up to its scale, which is returned if it is not
+/// quite one, or the matrix not quite a rotation. `None` if it is sheared or mirrored.
+pub(super) fn rigid(world_from_camera: DMat3, centre: DVec3) -> Option<(CameraFromWorld, Option<f64>)> {
+    let scale = world_from_camera.determinant().cbrt();
+    let mut rotation = world_from_camera * scale.recip();
+    let error = rotation.transpose() * rotation - DMat3::IDENTITY;
+    let worst = error.to_cols_array().into_iter().map(f64::abs).fold(0.0, f64::max);
+    if !(worst <= MOST_SHEARED && scale > 0.0) {
+        return None;
+    }
+    // the nearest rotation (Higham)
+    for _ in 0..4 {
+        rotation = 0.5 * (rotation + rotation.inverse().transpose());
+    }
+    let rotation = DMat3::from_quat(DQuat::from_mat3(&rotation).normalize()).transpose();
+    let is_said = worst > ROUNDED || (scale - 1.0).abs() > ROUNDED;
+    Some((CameraFromWorld { rotation, translation: -(rotation * centre) }, is_said.then_some(scale)))
+}
+
+impl Intrinsics {
+    /// Fills gaps: the size from the image, square pixels, a centred principal point. Of a panorama, which shows all directions
+    /// whatever its focal lengths, the front.
+    fn camera(
+        &self,
+        path: &Path,
+        view: &str,
+        image: &Path,
+        camera_from_world: CameraFromWorld,
+    ) -> Result<(Camera, Option<PanoramaPart>)> {
+        let projection = self.projection(path, view)?;
+        let (width, height) = match (self.w, self.h) {
+            (Some(width), Some(height)) => (width.round() as usize, height.round() as usize),
+            _ => {
+                let header = codec::header(image)?;
+                (header.width, header.height)
+            }
+        };
+        let Some(projection) = projection else {
+            let (front, camera) = PanoramaPart::front([width, height], camera_from_world);
+            return Ok((camera, Some(front)));
+        };
+        let (w, h) = (width as f64, height as f64);
+        let from_angle = |angle: Option<f64>, side: f64| angle.map(|angle| 0.5 * side / (0.5 * angle).tan());
+        let fx = self.fl_x.or(from_angle(self.camera_angle_x, w));
+        let fy = self.fl_y.or(from_angle(self.camera_angle_y, h));
+        let lacks_one = || DatasetError::NoFocalLength { path: path.to_owned(), view: view.to_owned() };
+        let (fx, fy) = (fx.or(fy).ok_or_else(lacks_one)?, fy.or(fx).ok_or_else(lacks_one)?);
+        let or_zero = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);
+        let distortion = Distortion {
+            numerator: [self.k1, self.k2, self.k3, self.k4, None, None].map(or_zero),
+            tangential: [self.p1, self.p2].map(or_zero),
+            ..Distortion::new(projection)
+        };
+        let (cx, cy) = (self.cx.unwrap_or(0.5 * w), self.cy.unwrap_or(0.5 * h));
+        let lens = lens(distortion);
+        Ok((Camera { camera_from_world, fx, fy, cx, cy, width, height, near: 0.0, lens }, None))
+    }
+
+    /// That of the lens; `None` for panoramas.
+    fn projection(&self, path: &Path, view: &str) -> Result<Option<Projection>> {
+        let refused = |model: &str, reason| {
+            let (path, model) = (path.to_owned(), model.to_owned());
+            Err(DatasetError::CameraModel { path, camera: format!("view `{view}`"), model, reason })
+        };
+        let is_of_lens =
+            |key: &str| LENS_WORDS.iter().any(|word| key.starts_with(word)) || LENS_COEFFICIENTS.contains(&key);
+        if let Some((word, _)) =
+            self.others.iter().find(|(key, value)| is_of_lens(&key.to_lowercase()) && !is_nothing(value))
+        {
+            return refused(word, "this word is understood by none of the models here");
+        }
+        let model = self.camera_model.as_deref().map(str::to_uppercase);
+        match (model.as_deref(), self.is_fisheye.unwrap_or(false)) {
+            (None, true) => Ok(Some(Projection::Equidistant)),
+            (
+                None | Some("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "PERSPECTIVE"),
+                false,
+            ) => Ok(Some(Projection::Perspective)),
+            (Some("OPENCV_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE" | "FISHEYE" | "SIMPLE_FISHEYE"), _) => {
+                Ok(Some(Projection::Equidistant))
+            }
+            (Some(model), true) => refused(model, "`is_fisheye` contradicts it"),
+            (Some(model @ "EQUIRECTANGULAR"), _) => {
+                let coefficients = [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2];
+                match coefficients.iter().flatten().any(|&coefficient| coefficient != 0.0) {
+                    true => refused(model, "it has coefficients of distortion, which panoramas have not"),
+                    false => Ok(None),
+                }
+            }
+            (Some(model), _) => refused(model, "it is unknown here"),
+        }
+    }
+}
+
+/// Whether a value says that there is no such thing.
+fn is_nothing(value: &Value) -> bool {
+    match value {
+        Value::Null | Value::Bool(false) => true,
+        Value::Number(number) => number.as_f64() == Some(0.0),
+        Value::Array(values) => values.iter().all(is_nothing),
+        Value::String(text) => text.is_empty(),
+        Value::Bool(true) | Value::Object(_) => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::assert_says;
+
+    fn pose(matrix: [[f64; 4]; 3]) -> Result<CameraFromWorld> {
+        camera_from_world(Path::new("transforms.json"), "a", &matrix.map(|row| row.to_vec())).map(|(pose, _)| pose)
+    }
+
+    #[test]
+    fn opengl_axes_become_opencv_axes() {
+        // In OpenGL axes an identity pose looks along −z with y up.
+        let found = pose([[1.0, 0.0, 0.0, 2.0], [0.0, 1.0, 0.0, 3.0], [0.0, 0.0, 1.0, 4.0]]).unwrap();
+        let expected = CameraFromWorld::look_at(DVec3::new(2.0, 3.0, 4.0), DVec3::new(2.0, 3.0, 0.0), DVec3::Y);
+        assert!((found.rotation - expected.rotation).to_cols_array().iter().all(|e| e.abs() < 1e-15));
+        assert!((found.translation - expected.translation).length() < 1e-15);
+        assert!((found.centre() - DVec3::new(2.0, 3.0, 4.0)).length() < 1e-15);
+    }
+
+    #[test]
+    fn poses_that_are_no_rigid_motion_are_refused() {
+        let sheared = pose([[1.0, 0.2, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+        let mirrored = pose([[-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+        let infinite = pose([[1.0, 0.0, 0.0, f64::INFINITY], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+        let short =
+            camera_from_world(Path::new("transforms.json"), "a", &[vec![1.0; 4], vec![1.0; 3]]).map(|(pose, _)| pose);
+        for (result, expected) in
+            [(sheared, "without shear"), (mirrored, "mirroring"), (infinite, "finite"), (short, "3 or 4 rows")]
+        {
+            assert_says(result.unwrap_err(), &["transforms.json: the transform_matrix of view `a`", expected]);
+        }
+    }
+
+    #[test]
+    fn scaled_and_rounded_rotations_are_made_rotations_and_said() {
+        let (sin, cos) = 0.3f64.sin_cos();
+        let exact = [[cos, -sin, 0.0, 1.0], [sin, cos, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0]];
+        let changed = |change: &dyn Fn(f64) -> f64| {
+            exact.map(|row| [change(row[0]), change(row[1]), change(row[2]), row[3]].to_vec())
+        };
+        let read = |matrix: &[Vec<f64>]| camera_from_world(Path::new("transforms.json"), "a", matrix).unwrap();
+        let (expected, none) = read(&changed(&|x| x));
+        assert_eq!(none, None);
+        for (matrix, scale) in [(changed(&|x| 0.5 * x), 0.5), (changed(&|x| (100.0 * x).round() / 100.0), 1.0)] {
+            let (found, said) = read(&matrix);
+            let apart = (found.rotation - expected.rotation).to_cols_array();
+            assert!(apart.iter().all(|x| x.abs() < 5e-3) && (said.unwrap() - scale).abs() < 5e-3, "{said:?}");
+            assert!(
+                (found.rotation.transpose() * found.rotation - DMat3::IDENTITY)
+                    .to_cols_array()
+                    .iter()
+                    .all(|x| x.abs() < 1e-12)
+            );
+            assert!((found.centre() - DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12);
+        }
+    }
+}
