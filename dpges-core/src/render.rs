@@ -79,10 +79,10 @@ fn shown(alpha: &Tensor<3>, behind: Tensor<3>) -> Tensor<3> {
 pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Result<()> {
     surfels.check_shapes()?;
     gaussians.check_shapes()?;
-    let mut door = Door::new(("surfels.positions", &surfels.positions));
-    door.enter(surfels, values)?;
-    door.enter(gaussians, values)?;
-    check_finite(door.checks)
+    let mut check = InputCheck::new(("surfels.positions", &surfels.positions));
+    check.add(surfels, values)?;
+    check.add(gaussians, values)?;
+    check_finite(check.checks)
 }
 
 /// [`validate`] for a scene without surfels.
@@ -91,18 +91,18 @@ pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Res
 /// The errors of [`validate`].
 pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
     gaussians.check_shapes()?;
-    let mut door = Door::new(("gaussians.positions", &gaussians.positions));
-    door.enter(gaussians, values)?;
-    check_finite(door.checks)
+    let mut check = InputCheck::new(("gaussians.positions", &gaussians.positions));
+    check.add(gaussians, values)?;
+    check_finite(check.checks)
 }
 
-struct Door {
+struct InputCheck {
     dtype: DType,
     expected: String,
     checks: FiniteChecks,
 }
 
-impl Door {
+impl InputCheck {
     /// All tensors must have the element type of `first`, and one that its device computes in.
     fn new((name, first): (&str, &Tensor<2>)) -> Self {
         let dtype = first.dtype();
@@ -114,7 +114,7 @@ impl Door {
         Self { dtype, expected, checks: FiniteChecks::default() }
     }
 
-    fn enter(&mut self, columns: &impl Columns<Value = Tensor<2>>, values: Values) -> Result<()> {
+    fn add(&mut self, columns: &impl Columns<Value = Tensor<2>>, values: Values) -> Result<()> {
         for (attribute, tensor) in columns.iter() {
             let supported = match self.dtype {
                 DType::F32 => true,
@@ -158,7 +158,7 @@ pub fn render_probed(
     render_on_ranks(surfels, gaussians, camera, probe, options, values, &Alone)
 }
 
-/// [`render_probed`] of a scene whose Gaussians are dealt out to `ranks`: `gaussians` are those of this one. All ranks get the
+/// [`render_probed`] of a scene whose Gaussians are sharded over `ranks`: `gaussians` are those of this one. All ranks get the
 /// same picture, and the whole gradient of surfels and own Gaussians.
 ///
 /// # Errors

@@ -120,7 +120,7 @@ macro_rules! with_real {
                 type $T = f32;
                 $body
             }
-            other => unreachable!("element type {other:?} is rejected at the door"),
+            other => unreachable!("element type {other:?} is refused before"),
         }
     };
 }

@@ -3,7 +3,7 @@
 use std::any::Any;
 use std::sync::{Arc, OnceLock};
 
-/// A place for what a kernel keeps, if there is a way back. Kernels that compute it again leave it empty. Clones share the place.
+/// A place for what a kernel keeps, if there is a backward pass. Kernels that compute it again leave it empty. Clones share the place.
 #[derive(Clone, Debug, Default)]
 pub struct Kept(Option<Arc<OnceLock<Arc<dyn Any + Send + Sync>>>>);
 

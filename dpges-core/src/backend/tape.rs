@@ -13,21 +13,21 @@ use burn::backend::{Autodiff, Backend, TensorMetadata};
 
 use super::kept::Kept;
 
-/// The state that a node of the tape with N parents keeps for the way back.
-pub trait WayBack<B: Backend, const N: usize>: Clone + Debug + Send + 'static {
+/// The state that a node of the tape with N parents keeps for the backward pass.
+pub trait BackwardState<B: Backend, const N: usize>: Clone + Debug + Send + 'static {
     /// Makes the gradients of the parents from that of the node; `None` where nothing reaches a parent.
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; N];
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; N];
 }
 
 #[derive(Debug)]
 struct Node<W>(PhantomData<W>);
 
-impl<B: Backend, W: WayBack<B, N>, const N: usize> Backward<B, N> for Node<W> {
+impl<B: Backend, W: BackwardState<B, N>, const N: usize> Backward<B, N> for Node<W> {
     type State = W;
 
     fn backward(self, ops: Ops<W, N>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<B>(&ops.node);
-        let of_parents = ops.state.go_back(grad);
+        let of_parents = ops.state.backward(grad);
         for (parent, grad) in ops.parents.into_iter().zip(of_parents) {
             if let (Some(parent), Some(grad)) = (parent, grad) {
                 grads.register::<B>(parent.id, grad);
@@ -36,8 +36,8 @@ impl<B: Backend, W: WayBack<B, N>, const N: usize> Backward<B, N> for Node<W> {
     }
 }
 
-/// A node with the output of `forward`, which may keep something if there is a way back.
-pub fn on_tape<B: Backend, S: CheckpointStrategy, W: WayBack<B, N>, const N: usize>(
+/// A node with the output of `forward`, which may keep something if there is a backward pass.
+pub fn on_tape<B: Backend, S: CheckpointStrategy, W: BackwardState<B, N>, const N: usize>(
     parents: [NodeGuard; N],
     forward: impl FnOnce(Kept) -> (FloatTensor<B>, W),
 ) -> FloatTensor<Autodiff<B, S>> {
@@ -50,14 +50,14 @@ pub fn on_tape<B: Backend, S: CheckpointStrategy, W: WayBack<B, N>, const N: usi
     }
 }
 
-/// The state that an operation with M outputs and N parents keeps for the way back.
-pub trait WayBackFromAll<B: Backend, const N: usize, const M: usize>: Clone + Debug + Send + 'static {
+/// The state that an operation with M outputs and N parents keeps for the backward pass.
+pub trait BackwardOfAll<B: Backend, const N: usize, const M: usize>: Clone + Debug + Send + 'static {
     /// The parents, of which shape, element type and device are needed.
     fn parents(&self) -> [&FloatTensor<B>; N];
 
     /// Makes the gradients of the parents from those of the outputs, `None` where none arrived; `None` where nothing reaches a
     /// parent.
-    fn go_back_from(self, grads: [Option<FloatTensor<B>>; M]) -> [Option<FloatTensor<B>>; N];
+    fn backward_from(self, grads: [Option<FloatTensor<B>>; M]) -> [Option<FloatTensor<B>>; N];
 }
 
 /// The gradients that have arrived for the outputs of a call.
@@ -70,8 +70,8 @@ struct Output<B: Backend, const M: usize> {
     arrived: Arrived<B, M>,
 }
 
-impl<B: Backend, const M: usize> WayBack<B, 1> for Output<B, M> {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
+impl<B: Backend, const M: usize> BackwardState<B, 1> for Output<B, M> {
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
         self.arrived.lock().unwrap_or_else(PoisonError::into_inner)[self.number] = Some(grad);
         [None]
     }
@@ -81,7 +81,7 @@ impl<B: Backend, const M: usize> WayBack<B, 1> for Output<B, M> {
 #[derive(Debug)]
 struct Call<W, const M: usize>(PhantomData<W>);
 
-impl<B: Backend, W: WayBackFromAll<B, N, M>, const N: usize, const M: usize> Backward<B, N> for Call<W, M> {
+impl<B: Backend, W: BackwardOfAll<B, N, M>, const N: usize, const M: usize> Backward<B, N> for Call<W, M> {
     type State = (W, Arrived<B, M>);
 
     fn backward(self, ops: Ops<Self::State, N>, grads: &mut Gradients, _: &mut Checkpointer) {
@@ -89,7 +89,7 @@ impl<B: Backend, W: WayBackFromAll<B, N, M>, const N: usize, const M: usize> Bac
         let none = [const { None }; M];
         let of_outputs = std::mem::replace(&mut *arrived.lock().unwrap_or_else(PoisonError::into_inner), none);
         let likes = state.parents().map(Clone::clone);
-        let found = state.go_back_from(of_outputs);
+        let found = state.backward_from(of_outputs);
         for ((parent, grad), like) in ops.parents.into_iter().zip(found).zip(likes) {
             if let Some(parent) = parent {
                 // the tape expects a gradient for all that is on it
@@ -102,7 +102,7 @@ impl<B: Backend, W: WayBackFromAll<B, N, M>, const N: usize, const M: usize> Bac
 
 /// Nodes with the `outputs` of one call. They keep the gradients that arrive for them, and have one parent, which goes back
 /// from all of them: a loss of several outputs is one way back, not one for each.
-pub fn all_on_tape<B: Backend, S: CheckpointStrategy, W: WayBackFromAll<B, N, M>, const N: usize, const M: usize>(
+pub fn all_on_tape<B: Backend, S: CheckpointStrategy, W: BackwardOfAll<B, N, M>, const N: usize, const M: usize>(
     parents: [NodeGuard; N],
     outputs: [FloatTensor<B>; M],
     state: W,

@@ -22,7 +22,7 @@ const WIDEST_PERSPECTIVE: f64 = FRAC_PI_2 - 0.01;
 /// Radii and azimuths at which a lens is tested for folds.
 const FOLD_RADII: usize = 256;
 const FOLD_AZIMUTHS: usize = 8;
-/// Farthest start of the way back from a position, of the limit: there the picture folds, and a step may lead anywhere.
+/// Farthest start of the backward pass from a position, of the limit: there the picture folds, and a step may lead anywhere.
 const START: f64 = 0.9;
 /// Below this ratio (ρ / z)² the angle is a series.
 const SERIES_BELOW: f64 = 0.05;

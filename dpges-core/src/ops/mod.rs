@@ -12,7 +12,7 @@
 //! | `mod.rs` | the contract (shapes, units, source, which gradients exist) and the public function |
 //! | `cpu.rs` | kernels of the CPU backends |
 //! | `cube.rs` | their CubeCL twins for GPUs |
-//! | `autodiff.rs` | the operation on Burn's tape, and what it keeps for the way back, which the kernels implement |
+//! | `autodiff.rs` | the operation on Burn's tape, and what it keeps for the backward pass, which the kernels implement |
 //! | `tests.rs` | what only this operation needs; `fixtures.rs` has what several need |
 //!
 //! A file that grew too long has a folder of its name beside it. A new operation copies the shape of

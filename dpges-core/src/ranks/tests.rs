@@ -67,8 +67,8 @@ fn numbers<const D: usize>(seed: u64, shape: [usize; D], dtype: DType) -> Tensor
     uploaded(numbers, shape, &device(), dtype)
 }
 
-/// The gradients of all Gaussians, dealt out row by row to the ranks of `parts`.
-fn dealt_together(parts: &[Seen], count: usize) -> Vec<(&'static str, Vec<f64>)> {
+/// The gradients of all Gaussians, sharded row by row over the ranks of `parts`.
+fn sharded_together(parts: &[Seen], count: usize) -> Vec<(&'static str, Vec<f64>)> {
     let names: Vec<&'static str> = parts[0].of_gaussians.iter().map(|(name, _)| *name).collect();
     let of = |(at, name): (usize, &'static str)| {
         let width = parts.iter().map(|part| part.of_gaussians[at].1.len()).sum::<usize>() / count;
@@ -87,7 +87,7 @@ fn pictures_and_gradients_do_not_depend_on_the_number_of_ranks() {
         assert!(whole.of_gaussians.len() > 4 && whole.of_surfels.len() > 3);
         for count in [1, 2, 3] {
             let parts = on_ranks(count, |ranks| seen(&scene, dtype, &*ranks));
-            let of_gaussians = dealt_together(&parts, scene.gaussians.len());
+            let of_gaussians = sharded_together(&parts, scene.gaussians.len());
             for part in &parts {
                 // replicated: the same bits everywhere
                 assert_eq!(

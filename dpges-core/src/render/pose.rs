@@ -42,7 +42,7 @@ impl PoseProbe {
         Self { motion, centre, moves_all: true }
     }
 
-    /// The same for Gaussians alone. Where these are dealt out to [ranks](crate::ranks), and surfels and environment are not,
+    /// The same for Gaussians alone. Where these are sharded over [ranks](crate::ranks), and surfels and environment are not,
     /// the gradients of all ranks add up to the whole if one of them moves everything, and the others Gaussians alone.
     #[must_use]
     pub fn of_gaussians(self) -> Self {

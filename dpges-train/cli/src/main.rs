@@ -134,28 +134,12 @@ impl<E: std::error::Error + Send + Sync + 'static> From<E> for Failure {
     }
 }
 
-/// Whether a command was asked for wrongly: a configuration that makes no sense is, a file that cannot be read is not.
+/// Whether a command was asked for wrongly, as the errors say themselves that may mean it.
 fn is_usage(error: &(dyn std::error::Error + 'static)) -> bool {
-    if let Some(error) = error.downcast_ref::<SceneError>() {
-        return match error {
-            SceneError::NoDataset { .. } => true,
-            SceneError::Config(error) => is_usage(error),
-            SceneError::Source(error) => is_usage(error),
-            _ => false,
-        };
+    macro_rules! any {
+        ($($kind:ty),*) => { $(error.downcast_ref().is_some_and(<$kind>::is_usage))||* };
     }
-    match error.downcast_ref::<ShotsError>() {
-        Some(ShotsError::Scene(error)) => return is_usage(error),
-        Some(ShotsError::Ignored { .. }) => return true,
-        _ => {}
-    }
-    matches!(error.downcast_ref(), Some(SourceError::OneScale | SourceError::Change(_)))
-        || matches!(error.downcast_ref(), Some(ChoiceError::NoneAndOthers | ChoiceError::Twice { .. }))
-        || error.downcast_ref().is_some_and(BlocksError::is_usage)
-        || error.downcast_ref().is_some_and(|error| !matches!(error, ScaleError::Core(_)))
-        || matches!(error.downcast_ref(), Some(PageError::View { .. }))
-        || matches!(error.downcast_ref(), Some(VideoError::Sizes { .. } | VideoError::NoFormat { .. }))
-        || error.downcast_ref::<ConfigError>().is_some_and(|error| !matches!(error, ConfigError::Io { .. }))
+    any!(BlocksError, ChoiceError, ConfigError, PageError, ScaleError, SceneError, ShotsError, SourceError, VideoError)
 }
 
 impl Failure {

@@ -35,6 +35,13 @@ pub enum SourceError {
     Core(#[from] dpges_core::Error),
 }
 
+impl SourceError {
+    /// Whether it was asked for wrongly, and nothing failed.
+    pub fn is_usage(&self) -> bool {
+        matches!(self, Self::OneScale | Self::Change(_))
+    }
+}
+
 type Result<T, E = SourceError> = std::result::Result<T, E>;
 
 impl SourceError {

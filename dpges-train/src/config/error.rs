@@ -19,3 +19,10 @@ pub enum ConfigError {
     #[error("key `{key}` is {found}, expected {expected}")]
     Range { key: &'static str, found: String, expected: String },
 }
+
+impl ConfigError {
+    /// Whether the configuration makes no sense; a file that cannot be read may.
+    pub fn is_usage(&self) -> bool {
+        !matches!(self, Self::Io { .. })
+    }
+}

@@ -188,7 +188,7 @@ pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Ev
     evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
 }
 
-/// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Views are dealt out to the ranks, which all
+/// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Views are shared out among the ranks, which all
 /// get the result. Calls `visit` with the index and the render of every view of this rank.
 pub fn evaluate_each<E: From<Error>>(
     renderer: &Renderer,
@@ -206,7 +206,7 @@ pub fn evaluate_each<E: From<Error>>(
     let mut own = Vec::with_capacity(views.len());
     for (index, view) in views.iter().enumerate() {
         let is_own = index % job.count() == job.rank();
-        if !is_own && !renderer.is_dealt() {
+        if !is_own && !renderer.is_sharded() {
             continue;
         }
         let start = Instant::now();
@@ -245,7 +245,7 @@ pub fn mean_scores(views: &[ViewScore]) -> Scores {
     Scores::mean(&views.iter().map(|view| view.scores).collect::<Vec<_>>())
 }
 
-/// The scores of all `views`, which were dealt out one by one.
+/// The scores of all `views`, which were shared out one by one.
 fn of_all_ranks(own: Vec<ViewScore>, views: usize, ranks: &dyn Ranks) -> Result<Vec<ViewScore>> {
     if ranks.is_alone() {
         return Ok(own);

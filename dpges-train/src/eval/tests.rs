@@ -222,7 +222,7 @@ fn reports_of_earlier_versions_are_read() {
 }
 
 #[test]
-fn views_are_dealt_out_to_ranks_and_all_get_the_scores() {
+fn views_are_shared_out_among_ranks_and_all_get_the_scores() {
     let options = BuiltinOptions { width: 32, height: 24, train_views: 2, test_views: 5, ..Default::default() };
     let dataset = builtin(&options);
     let device = device();
@@ -232,7 +232,7 @@ fn views_are_dealt_out_to_ranks_and_all_get_the_scores() {
     let info = SceneInfo { rendering: Rendering::Ellipsoids, ..peeled.info.clone() };
     let blended = SceneData { info, ..peeled.clone() };
     for scene in [peeled, blended] {
-        let is_dealt = scene.info.rendering == Rendering::Peeled;
+        let is_sharded = scene.info.rendering == Rendering::Peeled;
         let scores = |count: usize| {
             on_ranks(count, |ranks| {
                 let (rank, place) = (ranks.rank(), Place { device: device.clone(), ranks });
@@ -254,7 +254,7 @@ fn views_are_dealt_out_to_ranks_and_all_get_the_scores() {
                 assert_eq!(found.name, alone.name);
                 let [found, alone] = [found.scores, alone.scores];
                 // sums of ranks round to another of 256 values here and there
-                let most = if is_dealt { 0.05 } else { 1e-9 };
+                let most = if is_sharded { 0.05 } else { 1e-9 };
                 assert!((found.psnr - alone.psnr).abs() < most, "{found:?}, alone {alone:?}");
                 assert!((found.flip - alone.flip).abs() < most, "{found:?}, alone {alone:?}");
             }

@@ -34,6 +34,13 @@ pub enum VideoError {
     Failed { program: PathBuf, file: PathBuf, last: String },
 }
 
+impl VideoError {
+    /// Whether it was asked for wrongly, and nothing failed.
+    pub fn is_usage(&self) -> bool {
+        matches!(self, Self::Sizes { .. } | Self::NoFormat { .. })
+    }
+}
+
 /// A video that ffmpeg encodes. It takes the place of the file once it is complete.
 pub struct Video {
     encoder: Child,

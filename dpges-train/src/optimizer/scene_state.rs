@@ -16,7 +16,7 @@ use crate::refine::GaussianEdit;
 use crate::refine::mcmc_relocation::Relocated;
 
 /// Learning rates of one step and one kind of primitive.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Rates {
     /// World units.
     pub positions: f64,

@@ -11,7 +11,7 @@ use crate::dataset::neighbours::as_points;
 
 /// Why a lobe can go.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Spare {
+pub enum Redundancy {
     /// It adds less than the threshold to every channel, whatever camera looks.
     Idle,
     /// Its contribution differs by less than the threshold between cameras: its mean red, green and blue.
@@ -20,11 +20,11 @@ pub enum Spare {
 
 /// A lobe that can go.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SpareLobe {
+pub struct RedundantLobe {
     pub row: usize,
     /// Index among the primitive's lobes.
     pub lobe: usize,
-    pub why: Spare,
+    pub why: Redundancy,
 }
 
 /// How many lobes were dropped.
@@ -42,13 +42,13 @@ pub struct Dropped {
 ///
 /// `camera_centres` in world units, like the positions: all that may look, as nothing is asked about what they see.
 /// Without any, no lobe goes. Absent lobes have gone before.
-pub fn spare_lobes(
+pub fn redundant_lobes(
     positions: &[f32],
     colour: &ColourData,
     lobes: usize,
     camera_centres: &[[f64; 3]],
     threshold: f64,
-) -> Vec<SpareLobe> {
+) -> Vec<RedundantLobe> {
     if camera_centres.is_empty() {
         return Vec::new();
     }
@@ -56,19 +56,19 @@ pub fn spare_lobes(
     let of_primitive = |(row, position): (usize, &[f32; 3])| {
         let directions: Vec<[f64; 3]> = camera_centres.iter().map(|centre| direction(position, centre)).collect();
         let raw = all[row * lobes..(row + 1) * lobes].iter().enumerate();
-        raw.filter_map(move |(lobe, raw)| Some(SpareLobe { row, lobe, why: judge(raw, &directions, threshold)? }))
+        raw.filter_map(move |(lobe, raw)| Some(RedundantLobe { row, lobe, why: judge(raw, &directions, threshold)? }))
     };
     as_points(positions).par_iter().enumerate().flat_map_iter(of_primitive).collect()
 }
 
-/// Drops the lobes in `spare` from primitives with room for `lobes`: they become [`ABSENT_LOBE`], and what is constant
+/// Drops the lobes in `redundant` from primitives with room for `lobes`: they become [`ABSENT_LOBE`], and what is constant
 /// about them part of the base colour.
-pub fn drop_lobes(colour: &mut ColourData, lobes: usize, spare: &[SpareLobe]) -> Dropped {
+pub fn drop_lobes(colour: &mut ColourData, lobes: usize, redundant: &[RedundantLobe]) -> Dropped {
     let mut dropped = Dropped::default();
-    for &SpareLobe { row, lobe, why } in spare {
+    for &RedundantLobe { row, lobe, why } in redundant {
         match why {
-            Spare::Idle => dropped.idle += 1,
-            Spare::Constant(mean) => {
+            Redundancy::Idle => dropped.idle += 1,
+            Redundancy::Constant(mean) => {
                 let base = &mut colour.base[row * 3..][..3];
                 base.iter_mut().zip(mean).for_each(|(base, mean)| *base += (mean / SH_C0) as f32);
                 dropped.folded += 1;
@@ -81,7 +81,7 @@ pub fn drop_lobes(colour: &mut ColourData, lobes: usize, spare: &[SpareLobe]) ->
 
 /// The `keep` lobes of every primitive that differ most between cameras, in their order; what the others add in the
 /// mean over the cameras becomes part of the base colour. `positions`, `colour`, `lobes` and `camera_centres` are those
-/// of [`spare_lobes`], and there is at least one camera. The result has room for `keep` lobes.
+/// of [`redundant_lobes`], and there is at least one camera. The result has room for `keep` lobes.
 pub fn keep_lobes(
     positions: &[f32],
     colour: &ColourData,
@@ -118,18 +118,18 @@ pub fn keep_lobes(
 }
 
 /// Whether the lobe `raw` can go if it is seen in `directions`, and why.
-fn judge(raw: &[f32; LOBE_LEN], directions: &[[f64; 3]], threshold: f64) -> Option<Spare> {
+fn judge(raw: &[f32; LOBE_LEN], directions: &[[f64; 3]], threshold: f64) -> Option<Redundancy> {
     if is_absent(raw) {
         return None;
     }
     let lobe = Lit::new(raw);
     let (_, most) = lobe.extremes(directions);
     if lobe.largest() * most < threshold {
-        return Some(Spare::Idle);
+        return Some(Redundancy::Idle);
     }
     if lobe.change(directions) < threshold {
         let mean = lobe.mean(directions);
-        return Some(Spare::Constant(lobe.colour.map(|channel| channel * mean)));
+        return Some(Redundancy::Constant(lobe.colour.map(|channel| channel * mean)));
     }
     None
 }
@@ -220,12 +220,12 @@ mod tests {
     fn a_lobe_is_idle_below_the_threshold_in_every_camera() {
         // 0.1 · 0.5⁴ at 60°, nothing at 90° and beyond
         let colour = at_origin(&[along_z(0.0, 0.0)]);
-        let found = |threshold| spare_lobes(&[0.0; 3], &colour, 1, &cameras(&[60.0, 90.0, 180.0]), threshold);
-        assert_eq!(found(0.006_26), [SpareLobe { row: 0, lobe: 0, why: Spare::Idle }]);
+        let found = |threshold| redundant_lobes(&[0.0; 3], &colour, 1, &cameras(&[60.0, 90.0, 180.0]), threshold);
+        assert_eq!(found(0.006_26), [RedundantLobe { row: 0, lobe: 0, why: Redundancy::Idle }]);
         assert!(found(0.006_24).is_empty());
         // seen from straight ahead it is worth 0.1
-        assert!(spare_lobes(&[0.0; 3], &colour, 1, &cameras(&[60.0, 0.0]), 0.0937).is_empty());
-        assert!(spare_lobes(&[0.0; 3], &colour, 1, &[], 1.0).is_empty());
+        assert!(redundant_lobes(&[0.0; 3], &colour, 1, &cameras(&[60.0, 0.0]), 0.0937).is_empty());
+        assert!(redundant_lobes(&[0.0; 3], &colour, 1, &[], 1.0).is_empty());
     }
 
     #[test]
@@ -233,16 +233,18 @@ mod tests {
         // 0.1 · t^(4 e^−6): 0.1 straight ahead, 0.1 · 2^(−0.009915) at 60°
         let mut colour = at_origin(&[along_z(-20.0, 1.0), along_z(0.0, -6.0)]);
         let cameras = cameras(&[0.0, 60.0]);
-        assert!(spare_lobes(&[0.0; 3], &colour, 2, &cameras, 6.8e-4).is_empty());
-        let spare = spare_lobes(&[0.0; 3], &colour, 2, &cameras, 6.9e-4);
-        let [SpareLobe { row: 0, lobe: 1, why: Spare::Constant(mean) }] = spare[..] else { panic!("{spare:?}") };
+        assert!(redundant_lobes(&[0.0; 3], &colour, 2, &cameras, 6.8e-4).is_empty());
+        let redundant = redundant_lobes(&[0.0; 3], &colour, 2, &cameras, 6.9e-4);
+        let [RedundantLobe { row: 0, lobe: 1, why: Redundancy::Constant(mean) }] = redundant[..] else {
+            panic!("{redundant:?}")
+        };
         assert!(mean.iter().all(|channel| (channel - 0.099_657_5).abs() < 1e-6), "{mean:?}");
 
-        assert_eq!(drop_lobes(&mut colour, 2, &spare), Dropped { idle: 0, folded: 1 });
+        assert_eq!(drop_lobes(&mut colour, 2, &redundant), Dropped { idle: 0, folded: 1 });
         let expected = (0.099_657_5 / SH_C0) as f32;
         assert!(colour.base.iter().all(|base| (base - expected).abs() < 1e-5), "{:?}", colour.base);
         assert_eq!(colour.detail[6..], ABSENT_LOBE);
-        assert!(spare_lobes(&[0.0; 3], &colour, 2, &cameras, 1.0).is_empty());
+        assert!(redundant_lobes(&[0.0; 3], &colour, 2, &cameras, 1.0).is_empty());
     }
 
     #[test]
@@ -253,15 +255,15 @@ mod tests {
             detail: [bright, dim, bright, bright, dim, bright].concat(),
             ..ColourData::default()
         };
-        let spare = spare_lobes(&[0.0; 9], &colour, 2, &cameras(&[0.0, 90.0]), 0.01);
-        let idle = |row, lobe| SpareLobe { row, lobe, why: Spare::Idle };
-        assert_eq!(spare, [idle(0, 1), idle(2, 0)]);
-        assert_eq!(drop_lobes(&mut colour, 2, &spare), Dropped { idle: 2, folded: 0 });
+        let redundant = redundant_lobes(&[0.0; 9], &colour, 2, &cameras(&[0.0, 90.0]), 0.01);
+        let idle = |row, lobe| RedundantLobe { row, lobe, why: Redundancy::Idle };
+        assert_eq!(redundant, [idle(0, 1), idle(2, 0)]);
+        assert_eq!(drop_lobes(&mut colour, 2, &redundant), Dropped { idle: 2, folded: 0 });
         let gone = ABSENT_LOBE;
         assert_eq!(colour.detail, [bright, gone, bright, bright, gone, bright].concat());
         assert_eq!(colour.base, [0.0; 9]);
         let plain = ColourData { base: vec![0.0; 9], ..ColourData::default() };
-        assert!(spare_lobes(&[0.0; 9], &plain, 0, &cameras(&[0.0]), 1.0).is_empty());
+        assert!(redundant_lobes(&[0.0; 9], &plain, 0, &cameras(&[0.0]), 1.0).is_empty());
     }
 
     #[test]
@@ -311,15 +313,15 @@ mod tests {
         let cameras: Vec<[f64; 3]> =
             (0..7).map(|i| f64::from(i) * 0.4).map(|angle| [5.0 * angle.cos(), 5.0 * angle.sin(), 1.0]).collect();
 
-        let spare = spare_lobes(&positions, &before, lobes, &cameras, THRESHOLD);
+        let redundant = redundant_lobes(&positions, &before, lobes, &cameras, THRESHOLD);
         let mut after = before.clone();
-        let dropped = drop_lobes(&mut after, lobes, &spare);
-        assert!(dropped.idle > 10 && dropped.folded > 2 && spare.len() < count * lobes - 10, "{dropped:?}");
-        assert_eq!(dropped.idle + dropped.folded, spare.len());
+        let dropped = drop_lobes(&mut after, lobes, &redundant);
+        assert!(dropped.idle > 10 && dropped.folded > 2 && redundant.len() < count * lobes - 10, "{dropped:?}");
+        assert_eq!(dropped.idle + dropped.folded, redundant.len());
         for centre in cameras {
             let (old, new) = (seen(&before, &positions, lobes, centre), seen(&after, &positions, lobes, centre));
             for (at, (old, new)) in old.iter().zip(&new).enumerate() {
-                let gone = spare.iter().filter(|spare| spare.row == at / 3).count() as f64;
+                let gone = redundant.iter().filter(|redundant| redundant.row == at / 3).count() as f64;
                 assert!((old - new).abs() <= gone * THRESHOLD + 1e-6, "row {}: {old} became {new}", at / 3);
             }
         }

@@ -14,7 +14,7 @@ use super::validation::Validation;
 use crate::config::{Config, StagePlan};
 use crate::optimizer::ParameterRows;
 use crate::refine::growth::Growth;
-use crate::stage::{OWNERS, in_order, is_dealt};
+use crate::stage::{OWNERS, in_order, is_sharded};
 
 const FORMAT: &str = "dpges-checkpoint";
 const VERSION: &str = "4";
@@ -102,8 +102,8 @@ impl Checkpoint {
     #[must_use]
     pub fn of_later_rank(mut self) -> Self {
         let has_own = self.columns.contains_key(OWNERS);
-        self.attributes.retain(|name, _| has_own && is_dealt(name));
-        self.columns.retain(|name, _| has_own && is_dealt(name));
+        self.attributes.retain(|name, _| has_own && is_sharded(name));
+        self.columns.retain(|name, _| has_own && is_sharded(name));
         self.max_pixels = Vec::new();
         self
     }
@@ -133,9 +133,9 @@ impl Checkpoint {
             let moments = if rows.moments.is_some() { Some([moment(0)?, moment(1)?]) } else { None };
             Ok((name.clone(), ParameterRows { count: owners.len(), width, raw, moments }))
         };
-        let attributes = first.attributes.iter().filter(|(name, _)| is_dealt(name)).map(joined);
+        let attributes = first.attributes.iter().filter(|(name, _)| is_sharded(name)).map(joined);
         let attributes: Vec<_> = attributes.collect::<Result<_, String>>()?;
-        let columns = first.columns.keys().filter(|name| is_dealt(name));
+        let columns = first.columns.keys().filter(|name| is_sharded(name));
         let columns = columns.map(|name| Ok((name.clone(), all(name, 1, &|part| part.columns.get(name).cloned())?)));
         let columns: Vec<_> = columns.collect::<Result<_, String>>()?;
         let mut whole = parts.remove(0);

@@ -137,12 +137,12 @@ fn line_of(kind: &str, step: usize, evaluation: &Evaluation, seconds: f64) -> Va
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::StageKind;
+    use crate::config::Config;
 
     fn report(step: usize) -> StepReport {
         StepReport {
             step,
-            stage: StageKind::Joint,
+            stage: *Config::default().plan(0).last().unwrap(),
             view: 1,
             loss: 0.5,
             rgb: 0.4,

@@ -222,7 +222,7 @@ fn a_run_goes_on_with_any_number_of_ranks() {
 }
 
 #[test]
-fn blended_stages_whose_views_are_dealt_out_go_on_with_any_number_of_ranks() {
+fn blended_stages_whose_views_are_shared_out_go_on_with_any_number_of_ranks() {
     let mut set = ALL.to_vec();
     set.extend(["train.method=3dgs", "density.gradient_threshold=1e-7", "train.checkpoint_every=7"]);
     let whole = tempfile::tempdir().unwrap();
@@ -237,7 +237,7 @@ fn blended_stages_whose_views_are_dealt_out_go_on_with_any_number_of_ranks() {
 
 /// A batch takes fewer and larger steps: the results differ, and no rank has half the quality.
 #[test]
-fn trainings_whose_views_are_dealt_out_are_as_good_but_for_the_size_of_batches() {
+fn trainings_whose_views_are_shared_out_are_as_good_but_for_the_size_of_batches() {
     let data = dataset();
     for method in ["train.method=mcmc", "train.method=3dgs"] {
         let psnr = |count: usize| {

@@ -31,7 +31,7 @@ pub fn refit(scene: &SceneData, views: &[View], steps: usize, device: &Device) -
     let mut stage = stage::of_scene(plan, scene, &context);
     for step in 1..=steps {
         let view = context.next_view();
-        let report = StepReport::begin(step, plan.kind, view, Vec::new());
+        let report = StepReport::begin(step, plan, view, Vec::new());
         let begun = begin_step(&mut *stage, &mut context, report, StepViews::one(view))?;
         begun.learn(&mut *stage, &mut context)?.settle()?;
         context.completed_steps += 1;

@@ -48,6 +48,13 @@ pub enum ScaleError {
     Core(#[from] dpges_core::Error),
 }
 
+impl ScaleError {
+    /// Whether it was asked for wrongly, and nothing failed.
+    pub fn is_usage(&self) -> bool {
+        !matches!(self, Self::Core(_))
+    }
+}
+
 impl FromStr for Place {
     type Err = String;
 

@@ -39,6 +39,18 @@ pub enum SceneError {
     Core(#[from] dpges_core::Error),
 }
 
+impl SceneError {
+    /// Whether it was asked for wrongly, and nothing failed.
+    pub fn is_usage(&self) -> bool {
+        match self {
+            Self::NoDataset { .. } => true,
+            Self::Config(error) => error.is_usage(),
+            Self::Source(error) => error.is_usage(),
+            _ => false,
+        }
+    }
+}
+
 type Result<T, E = SceneError> = std::result::Result<T, E>;
 
 /// How the dataset of a scene is read.

@@ -75,14 +75,14 @@ pub fn load(folder: &RunFolder) -> Result<Checkpoint, CheckpointError> {
     if !folder.manifest().is_file() {
         return Checkpoint::load(&folder.checkpoint());
     }
-    let dealt = load_generation(folder);
+    let sharded = load_generation(folder);
     if !folder.checkpoint().is_file() {
-        return dealt;
+        return sharded;
     }
     // a kill came between one kind and the removal of the other
-    match (Checkpoint::load(&folder.checkpoint()), dealt) {
-        (Ok(single), Ok(dealt)) if dealt.completed_steps() > single.completed_steps() => Ok(dealt),
-        (Err(_), Ok(dealt)) => Ok(dealt),
+    match (Checkpoint::load(&folder.checkpoint()), sharded) {
+        (Ok(single), Ok(sharded)) if sharded.completed_steps() > single.completed_steps() => Ok(sharded),
+        (Err(_), Ok(sharded)) => Ok(sharded),
         (single, _) => single,
     }
 }

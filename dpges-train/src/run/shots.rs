@@ -63,6 +63,17 @@ pub enum ShotsError {
     Path(#[from] PathError),
 }
 
+impl ShotsError {
+    /// Whether it was asked for wrongly, and nothing failed.
+    pub fn is_usage(&self) -> bool {
+        match self {
+            Self::Scene(error) => error.is_usage(),
+            Self::Ignored { .. } | Self::Panorama { .. } => true,
+            Self::Dataset(_) | Self::Path(_) => false,
+        }
+    }
+}
+
 /// A picture that is to be taken.
 pub struct Shot {
     pub camera: Camera,

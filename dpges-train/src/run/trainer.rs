@@ -155,13 +155,13 @@ impl Trainer {
         if ranks.is_alone() {
             return Ok(());
         }
-        let is_dealt = !self.stage.ranks().is_alone();
+        let is_sharded = !self.stage.ranks().is_alone();
         let Parameters { surfels, gaussians, environment, .. } = self.stage.parameters();
         let mut hash = Hash::default();
         surfels.rows().into_values().for_each(|rows| hash.add_numbers(&rows.raw));
         let of_all = [&*environment, &self.context.exposure].into_iter().flatten();
         of_all.for_each(|parameter| hash.add_numbers(&parameter.raw_rows()));
-        if !is_dealt {
+        if !is_sharded {
             gaussians.rows().into_values().for_each(|rows| hash.add_numbers(&rows.raw));
         }
         let hashes = ranks.gather_numbers(&[hash.value()]).concat();
@@ -242,7 +242,7 @@ impl Trainer {
 
     /// Begins the stage after one that is over, settled and not the last.
     pub(super) fn next_stage(&mut self) -> Result<(), TrainError> {
-        self.stage.hand_on(&mut self.trained);
+        self.stage.finish(&mut self.trained);
         // the schedule of a stage counts passes from its start
         self.context.remaining_views.clear();
         let next = self.plan[self.at + 1];
@@ -279,7 +279,7 @@ impl Trainer {
         }
         let views = self.context.next_views(&*self.stage);
         let after = (self.context.completed_steps + views.of_ranks.len()).min(self.stage().end());
-        let report = StepReport::begin(after, self.stage().kind, views.own, events);
+        let report = StepReport::begin(after, self.stage(), views.own, events);
         let begun = begin_step(&mut *self.stage, &mut self.context, report, views);
         known = self.settle()?.or(known);
         let ranks = &self.context.ranks;

@@ -6,7 +6,7 @@ use dpges_core::scene::schema::{Attribute, Columns};
 use dpges_core::scene::{GaussianData, SceneInfo};
 
 use super::blended::{BlendedStage, Momenta, ScreenGradients};
-use super::joint::{Dealt, JointStage, OWNERS, SamplingLimits, Statistics, Supervisions};
+use super::joint::{JointStage, OWNERS, SamplingLimits, Sharding, Statistics, Supervisions};
 use super::sampling_limit::SamplingLimit;
 use super::{Context, EnvironmentState, TrainError, WeightedSumState, environment};
 use crate::config::{Blended, OpacityActivation, StagePlan};
@@ -23,7 +23,7 @@ const SURFEL_LIMIT: &str = "surfel_sampling_limit";
 const GAUSSIAN_LIMIT: &str = "sampling_limit";
 
 /// Whether an attribute or a column has a row for each Gaussian of the joint stage.
-pub fn is_dealt(name: &str) -> bool {
+pub fn is_sharded(name: &str) -> bool {
     name.starts_with("gaussians.") || [MAX_CONTRIBUTIONS, ERRORS, GAUSSIAN_LIMIT].contains(&name)
 }
 
@@ -65,7 +65,7 @@ impl StageCheckpoint {
             .flat_map(|limits| [(SURFEL_LIMIT, limits.surfels.column()), (GAUSSIAN_LIMIT, limits.gaussians.column())]);
         let statistics =
             [(MAX_CONTRIBUTIONS, stage.statistics.max_contributions()), (ERRORS, stage.statistics.errors())];
-        let columns = statistics.into_iter().chain(limits).chain(stage.dealt.column());
+        let columns = statistics.into_iter().chain(limits).chain(stage.sharding.column());
         let mut checkpoint = Self {
             info: stage.info.clone(),
             growth: stage.growth,
@@ -143,10 +143,10 @@ impl JointStage {
         let wrong = TrainError::resume;
         let count = attributes.get(GaussianData::ATTRIBUTES[0].raw_name).map_or(0, |rows| rows.count);
         let [contributions, errors] = [MAX_CONTRIBUTIONS, ERRORS].map(|name| column(&mut columns, name, count));
-        let dealt = Dealt::from_column(columns.remove(OWNERS), count, context.ranks.clone()).map_err(wrong)?;
+        let sharding = Sharding::from_column(columns.remove(OWNERS), count, context.ranks.clone()).map_err(wrong)?;
         if !context.ranks.is_alone() {
-            for (_, rows) in attributes.iter_mut().filter(|(name, _)| is_dealt(name)) {
-                *rows = dealt.own_rows(rows).map_err(wrong)?;
+            for (_, rows) in attributes.iter_mut().filter(|(name, _)| is_sharded(name)) {
+                *rows = sharding.own_rows(rows).map_err(wrong)?;
             }
         }
         let surfels =
@@ -157,11 +157,11 @@ impl JointStage {
         if max_pixels.len() != surfels.len() {
             return Err(wrong("`max_pixels` does not fit the surfels".into()));
         }
-        let [contributions, errors] = [contributions?, errors?].map(|all| dealt.own_of(&all, 1));
+        let [contributions, errors] = [contributions?, errors?].map(|all| sharding.own_of(&all, 1));
         let smoothing_px = context.config.model.sampling_limit;
         let surfel_limit = limit(&mut columns, SURFEL_LIMIT, surfels.len(), smoothing_px, context)?;
         if let Some(column) = columns.get_mut(GAUSSIAN_LIMIT).filter(|column| column.len() == count) {
-            *column = dealt.own_of(column, 1);
+            *column = sharding.own_of(column, 1);
         }
         let gaussian_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
         Ok(Self {
@@ -170,7 +170,7 @@ impl JointStage {
             statistics: Statistics::from_rows(&max_pixels, [&contributions, &errors], device),
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
             growth,
-            ..Self::of_states(plan, surfels, gaussians, dealt, environment, context)
+            ..Self::of_states(plan, surfels, gaussians, sharding, environment, context)
         })
     }
 }

@@ -3,7 +3,7 @@ use std::sync::Arc;
 
 use burn::tensor::Device;
 use dpges_core::ranks::Ranks;
-use dpges_core::scene::{BlendOrder, Rendering, SceneInfo, ScreenFilter};
+use dpges_core::scene::{Rendering, SceneInfo, ScreenFilter};
 use dpges_render::Up;
 use glam::Vec3;
 use rand::SeedableRng;
@@ -163,8 +163,6 @@ impl Context {
             peeling: model.peeling,
             rendering,
             screen_filter: ScreenFilter::Compensated,
-            blend_order: BlendOrder::Centres,
-            weighted_sum: None,
             background: dataset.background,
             offset: dataset.offset.to_array(),
             up: match self.config.data.up {
@@ -175,6 +173,7 @@ impl Context {
             extent: dataset.extent,
             near: dataset.near,
             metres_per_unit: self.metres_per_unit,
+            ..SceneInfo::default()
         }
     }
 

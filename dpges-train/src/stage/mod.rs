@@ -33,7 +33,7 @@ use crate::init::InitialScene;
 use blended::BlendedStage;
 #[cfg(test)]
 pub use blended::ScreenGradients;
-pub use checkpoint::{StageCheckpoint, is_dealt};
+pub use checkpoint::{StageCheckpoint, is_sharded};
 pub use context::{Context, budget, mean_pixels};
 pub use environment::EnvironmentState;
 pub use error::TrainError;
@@ -100,7 +100,7 @@ pub trait Stage: Send {
     fn checkpoint(&self) -> StageCheckpoint;
 
     /// Leaves what it has trained to the stages after it. The last stage leaves nothing.
-    fn hand_on(&self, _trained: &mut Trained) {}
+    fn finish(&self, _trained: &mut Trained) {}
 }
 
 /// A view as a stage renders it, on the tape of one step.

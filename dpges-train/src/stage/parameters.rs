@@ -34,7 +34,8 @@ pub struct Leaves {
 /// Gradients of surfels, Gaussians, the environment and the weighted sum; none for what a stage does not have.
 pub struct ParameterGradients([GradientList; 4]);
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Learning rates of a step; 0 by default.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepRates {
     pub surfels: Rates,
     pub gaussians: Rates,

@@ -1,11 +1,11 @@
-use crate::config::StageKind;
+use crate::config::StagePlan;
 
 /// The report of one step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
     /// Completed steps of the run, this one included.
     pub step: usize,
-    pub stage: StageKind,
+    pub stage: StagePlan,
     pub view: usize,
     /// Weighted sum of all terms.
     pub loss: f64,
@@ -27,7 +27,7 @@ pub struct StepReport {
 
 impl StepReport {
     /// The report of a step whose numbers are not known yet: they are NaN, and the counts 0.
-    pub fn begin(step: usize, stage: StageKind, view: usize, events: Vec<String>) -> Self {
+    pub fn begin(step: usize, stage: StagePlan, view: usize, events: Vec<String>) -> Self {
         let unknown = f64::NAN;
         Self {
             step,

@@ -76,7 +76,7 @@ fn jacobians_and_the_way_back_are_central_differences() {
             let largest = found.iter().fold(1.0, |most: f64, v| most.max(v.abs()));
             for (found, [slope]) in found.into_iter().zip(slopes(point, loss)) {
                 let near = (found - slope).abs() < 1e-5 * largest.max(slope.abs());
-                assert!(near, "the way back of {name} at {point:?}: {found}, {slope}");
+                assert!(near, "the backward pass of {name} at {point:?}: {found}, {slope}");
             }
         }
     }

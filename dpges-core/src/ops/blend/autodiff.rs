@@ -6,7 +6,7 @@ use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
 use super::{BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput};
 use crate::backend::kept::Kept;
-use crate::backend::tape::{WayBack, on_tape};
+use crate::backend::tape::{BackwardState, on_tape};
 use crate::camera::Camera;
 
 #[derive(Clone, Debug)]
@@ -20,7 +20,7 @@ pub struct BlendState<B: Backend> {
 
 impl<B: BlendOps, S: CheckpointStrategy> BlendOps for Autodiff<B, S>
 where
-    BlendState<B>: WayBack<B, 7>,
+    BlendState<B>: BackwardState<B, 7>,
 {
     fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions, _: Kept) -> BlendOutput<Self> {
         let tensors = input.into_array();

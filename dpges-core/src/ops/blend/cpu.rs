@@ -30,15 +30,15 @@ use self::walk::{Fragments, Sorted, Thresholds, Tile, walk_tile};
 use self::whitened::WhitenedFootprint;
 use super::autodiff::BlendState;
 use super::{
-    ALL_PLANES, ALPHA_PLANE, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, COLOUR_PLANES, DEPTH_PLANE,
-    DISTORTION_PLANE, Form, NORMAL_PLANE, OutweighingOps,
+    ALL_PLANES, ALPHA_PLANE, BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, COLOUR_PLANES,
+    ContributionOps, DEPTH_PLANE, DISTORTION_PLANE, Form, NORMAL_PLANE,
 };
 use crate::backend::host::{self, Host, with_real};
 use crate::backend::kept::Kept;
 use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu::student::Student;
 use crate::footprint::gaussian::tensors::{GaussianRows, GaussianTensors};
@@ -166,7 +166,7 @@ fn forward<T: Real, F: Projected<T>>(
         vectorised(BlendTile { tile, maps: options.maps, block });
     });
     let mut planes = to_planes(&blocks, count, sorted.grid);
-    // the way back takes the same footprints and lists, in place of projecting and sorting again
+    // the backward pass takes the same footprints and lists, in place of projecting and sorting again
     kept.put(sorted);
     let median_depth = planes.split_off(options.planes() * camera.width * camera.height);
     [planes, median_depth]
@@ -195,8 +195,8 @@ impl<B: Host> BlendOps for B {
     }
 }
 
-impl<B: Host> WayBack<B, 7> for BlendState<B> {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 7] {
+impl<B: Host> BackwardState<B, 7> for BlendState<B> {
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 7] {
         let Self { input, camera, options, kept, .. } = self;
         let [degrees, probed] = [&input.degrees_of_freedom, &input.probe].map(host::rows);
         let device = grad.device();
@@ -220,8 +220,8 @@ impl<B: Host> WayBack<B, 7> for BlendState<B> {
     }
 }
 
-impl<B: Host> OutweighingOps for B {
-    fn outweighing(input: BlendInput<B>, camera: Camera, options: BlendOptions, least: f64) -> IntTensor<B> {
+impl<B: Host> ContributionOps for B {
+    fn contributing(input: BlendInput<B>, camera: Camera, options: BlendOptions, least: f64) -> IntTensor<B> {
         let (count, device) = (host::rows(&input.gaussians.positions), input.gaussians.positions.device());
         let transparency = options.order.transparency().expect("that of whitened Gaussians");
         let marks: Vec<i32> = with_real!(input.gaussians.positions.dtype(), T => {

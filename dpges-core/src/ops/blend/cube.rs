@@ -3,12 +3,12 @@
 //! sorted for each tile, and `rays` resorts them for each pixel.
 
 mod back;
+mod contributing;
 mod fold;
 mod fragments;
 mod gather;
 mod hybrid;
 mod order;
-mod outweighing;
 mod parameters;
 mod rays;
 
@@ -24,9 +24,9 @@ use self::gather::gather;
 use self::hybrid::blend_pixel;
 use self::rays::{PIXEL_STATE, walk_rays};
 use super::autodiff::BlendState;
-use super::{BlendInput, BlendOps, BlendOptions, BlendOutput, Form, OutweighingOps, far};
+use super::{BlendInput, BlendOps, BlendOptions, BlendOutput, ContributionOps, Form, far};
 use crate::backend::kept::Kept;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
 use crate::footprint::gaussian::cube::{SPLAT, Splat};
@@ -84,7 +84,7 @@ fn add_fragment(
     thresholds: Thresholds,
     #[comptime] maps: bool,
 ) -> bool {
-    // on both sides: negative α takes colour away (SSS); below 1 in size, since the way back divides by 1 − α
+    // on both sides: negative α takes colour away (SSS); below 1 in size, since the backward pass divides by 1 − α
     let alpha = max(min(found.weight, thresholds.max_alpha), -thresholds.max_alpha);
     let behind = state[THROUGH] * (1.0f32 - alpha);
     let goes_on = behind >= thresholds.min_transmittance;
@@ -313,16 +313,16 @@ impl BlendOps for CubeBackend {
     }
 }
 
-impl OutweighingOps for CubeBackend {
-    fn outweighing(input: BlendInput<Self>, camera: Camera, options: BlendOptions, least: f64) -> IntTensor<Self> {
+impl ContributionOps for CubeBackend {
+    fn contributing(input: BlendInput<Self>, camera: Camera, options: BlendOptions, least: f64) -> IntTensor<Self> {
         let gaussians = input.gaussians.contiguous();
         let (fragments, lists) = Fragments::new(&gaussians, &floats(input.degrees_of_freedom), &camera, &options);
-        outweighing::outweighing(&fragments, &lists, &camera, &options, least)
+        contributing::contributing(&fragments, &lists, &camera, &options, least)
     }
 }
 
-impl WayBack<CubeBackend, 7> for BlendState<CubeBackend> {
-    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 7] {
+impl BackwardState<CubeBackend, 7> for BlendState<CubeBackend> {
+    fn backward(self, grad: CubeTensor) -> [Option<CubeTensor>; 7] {
         let Self { input, lists, camera, options, .. } = self;
         let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };

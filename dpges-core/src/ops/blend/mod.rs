@@ -279,7 +279,7 @@ pub struct BlendOutput<B: Backend> {
     Autodiff
 )]
 pub trait BlendOps: Backend {
-    /// On the tape, CPU kernels keep the sorted primitives and their lists in `kept` for the way back; GPU kernels return lists.
+    /// On the tape, CPU kernels keep the sorted primitives and their lists in `kept` for the backward pass; GPU kernels return lists.
     fn blend(
         #[extension_type] input: BlendInput<Self>,
         camera: Camera,
@@ -289,9 +289,9 @@ pub trait BlendOps: Backend {
 }
 
 #[backend_extension(Cube: cfg(feature = "gpu"), NdArray: cfg(feature = "ndarray"), Flex: cfg(feature = "flex"))]
-pub trait OutweighingOps: Backend {
-    /// See [`outweighing`]; without a probe.
-    fn outweighing(
+pub trait ContributionOps: Backend {
+    /// See [`contributing`]; without a probe.
+    fn contributing(
         #[extension_type] input: BlendInput<Self>,
         camera: Camera,
         options: BlendOptions,
@@ -383,7 +383,7 @@ pub fn blend(
 ///
 /// # Errors
 /// Those of [`blend()`], and [`Error::Option`] for another form.
-pub fn outweighing(
+pub fn contributing(
     gaussians: &Gaussians,
     camera: &Camera,
     options: &BlendOptions,
@@ -405,6 +405,6 @@ pub fn outweighing(
         probe: Tensor::<2>::zeros([0, 4], (&device, dtype)).into_dispatch(),
     };
     let options = BlendOptions { maps: false, ..*options };
-    let marks = within_capacity(|| Dispatch::outweighing(input, *camera, options, least))?;
+    let marks = within_capacity(|| Dispatch::contributing(input, *camera, options, least))?;
     Ok(Tensor::from_dispatch(marks))
 }

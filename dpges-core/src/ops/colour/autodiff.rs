@@ -5,7 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend};
 
 use super::{ColourOps, DetailPart};
-use crate::backend::tape::{WayBack, on_tape};
+use crate::backend::tape::{BackwardState, on_tape};
 
 #[derive(Clone, Debug)]
 pub struct ColourState<B: Backend> {
@@ -17,7 +17,7 @@ pub struct ColourState<B: Backend> {
 
 impl<B: ColourOps, S: CheckpointStrategy> ColourOps for Autodiff<B, S>
 where
-    ColourState<B>: WayBack<B, 2>,
+    ColourState<B>: BackwardState<B, 2>,
 {
     fn colour(
         base: FloatTensor<Self>,

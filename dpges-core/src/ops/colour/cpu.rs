@@ -13,7 +13,7 @@ use crate::backend::host::{self, Host, with_real};
 use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::backend::vectors::MOST;
 use crate::math::{V3, add, row, scale};
 use crate::scene::lobes::LOBE_LEN;
@@ -190,8 +190,8 @@ impl<B: Host> ColourOps for B {
     }
 }
 
-impl<B: Host> WayBack<B, 2> for ColourState<B> {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 2] {
+impl<B: Host> BackwardState<B, 2> for ColourState<B> {
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 2] {
         let (count, device) = (host::rows(&grad), grad.device());
         with_real!(grad.dtype(), T => {
             let [detail, positions, grad] = [&self.detail, &self.positions, &grad].map(host::floats::<B, T>);

@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 
 use super::autodiff::ColourState;
 use super::{ColourOps, DetailPart, LARGEST_BETA, SHARPNESS};
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
 use crate::gpu::vector::{Vec3, dot, row3, scale, sin_cos, vec3, write3};
 use crate::scene::{ColourModel, SH_C0};
@@ -250,8 +250,8 @@ impl ColourOps for CubeBackend {
     }
 }
 
-impl WayBack<CubeBackend, 2> for ColourState<CubeBackend> {
-    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 2] {
+impl BackwardState<CubeBackend, 2> for ColourState<CubeBackend> {
+    fn backward(self, grad: CubeTensor) -> [Option<CubeTensor>; 2] {
         let [detail, positions, grad] = [self.detail, self.positions, grad].map(floats);
         let count = grad.shape()[0];
         let (base, out) = (empty_f32(&grad, [count, 3]), empty_f32(&grad, [count, self.part.width]));

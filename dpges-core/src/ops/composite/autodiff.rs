@@ -4,11 +4,11 @@ use burn::backend::Autodiff;
 use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 
 use super::{CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, CompositeState};
-use crate::backend::tape::{WayBackFromAll, all_on_tape};
+use crate::backend::tape::{BackwardOfAll, all_on_tape};
 
 impl<B: CompositeOps, S: CheckpointStrategy> CompositeOps for Autodiff<B, S>
 where
-    CompositeState<B>: WayBackFromAll<B, 4, 4>,
+    CompositeState<B>: BackwardOfAll<B, 4, 4>,
 {
     fn composite(input: CompositeInput<Self>, options: CompositeOptions) -> CompositeOutput<Self> {
         let (weights, weights_node) = input.weights.into_parts();

@@ -13,7 +13,7 @@ use crate::backend::lanes::Lanes;
 use crate::backend::number::Number;
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::backend::tape::WayBackFromAll;
+use crate::backend::tape::BackwardOfAll;
 use crate::math::{V3, add, dot, row, scale};
 use crate::tiles::bands::{BAND_COUNT, Bands};
 
@@ -316,13 +316,13 @@ impl<B: Host> CompositeOps for B {
     }
 }
 
-impl<B: Host> WayBackFromAll<B, 4, 4> for CompositeState<B> {
+impl<B: Host> BackwardOfAll<B, 4, 4> for CompositeState<B> {
     fn parents(&self) -> [&FloatTensor<B>; 4] {
         let CompositeInput { weights, transmittance, colours, sums, .. } = &self.input;
         [weights, transmittance, colours, sums]
     }
 
-    fn go_back_from(self, grads: Grads<B>) -> [Option<FloatTensor<B>>; 4] {
+    fn backward_from(self, grads: Grads<B>) -> [Option<FloatTensor<B>>; 4] {
         let Self { input, options, image, gaussian_weight } = self;
         let (device, reached) = (input.weights.device(), Reached::new::<B>(&grads));
         with_real!(input.weights.dtype(), T => Inputs::<T>::with(&input, &options, |inputs| {

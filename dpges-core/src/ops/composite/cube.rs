@@ -7,7 +7,7 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::{CompositeInput, CompositeOps, CompositeOptions, CompositeOutput, CompositeState, Grads, Reached};
-use crate::backend::tape::WayBackFromAll;
+use crate::backend::tape::BackwardOfAll;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
 use crate::gpu::vector::{Vec3, add, dot, row3, scale, vec3};
@@ -340,13 +340,13 @@ impl CompositeOps for CubeBackend {
     }
 }
 
-impl WayBackFromAll<CubeBackend, 4, 4> for CompositeState<CubeBackend> {
+impl BackwardOfAll<CubeBackend, 4, 4> for CompositeState<CubeBackend> {
     fn parents(&self) -> [&CubeTensor; 4] {
         let CompositeInput { weights, transmittance, colours, sums, .. } = &self.input;
         [weights, transmittance, colours, sums]
     }
 
-    fn go_back_from(self, grads: Grads<CubeBackend>) -> [Option<CubeTensor>; 4] {
+    fn backward_from(self, grads: Grads<CubeBackend>) -> [Option<CubeTensor>; 4] {
         let Self { input, image, gaussian_weight, options } = self;
         let (input, image, gaussian_weight) = (contiguous(input), floats(image), floats(gaussian_weight));
         let shape: [usize; 3] = input.weights.shape().dims();

@@ -62,7 +62,7 @@ pub struct CompositeOutput<B: Backend> {
     pub gaussian_weight: FloatTensor<B>,
 }
 
-/// The state for the way back.
+/// The state for the backward pass.
 #[derive(Debug, Clone)]
 pub struct CompositeState<B: Backend> {
     input: CompositeInput<B>,

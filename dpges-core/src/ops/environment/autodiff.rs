@@ -5,7 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, TensorMetadata};
 
 use super::EnvironmentOps;
-use crate::backend::tape::{WayBack, on_tape};
+use crate::backend::tape::{BackwardState, on_tape};
 use crate::camera::Camera;
 
 #[derive(Clone, Debug)]
@@ -17,7 +17,7 @@ pub struct EnvironmentState {
 
 impl<B: EnvironmentOps, S: CheckpointStrategy> EnvironmentOps for Autodiff<B, S>
 where
-    EnvironmentState: WayBack<B, 1>,
+    EnvironmentState: BackwardState<B, 1>,
 {
     fn environment(coefficients: FloatTensor<Self>, camera: Camera) -> FloatTensor<Self> {
         let (coefficients, node) = coefficients.into_parts();

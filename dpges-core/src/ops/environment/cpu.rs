@@ -9,7 +9,7 @@ use super::autodiff::EnvironmentState;
 use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::camera::Camera;
 use crate::footprint::rays::{Rays, rays};
 use crate::math::{CameraOf, M3, V3, apply, apply_transposed, dot, scale};
@@ -153,8 +153,8 @@ impl<B: Host> EnvironmentOps for B {
     }
 }
 
-impl<B: Host> WayBack<B, 1> for EnvironmentState {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
+impl<B: Host> BackwardState<B, 1> for EnvironmentState {
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
         with_real!(grad.dtype(), T => {
             let coefficients = backward::<T>(&host::floats::<B, T>(&grad), &self.camera, self.count);
             [Some(host::float_tensor::<B, T, 2>(coefficients, [self.count, 3], &grad.device()))]

@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 
 use super::EnvironmentOps;
 use super::autodiff::EnvironmentState;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::camera::Camera;
 use crate::gpu::launch::{HALVINGS, UNITS, buffer, cube_dim, cubes, empty_f32, floats, units};
 use crate::gpu::lens::{LensKind, LensUniforms, ray};
@@ -175,8 +175,8 @@ impl EnvironmentOps for CubeBackend {
     }
 }
 
-impl WayBack<CubeBackend, 1> for EnvironmentState {
-    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 1] {
+impl BackwardState<CubeBackend, 1> for EnvironmentState {
+    fn backward(self, grad: CubeTensor) -> [Option<CubeTensor>; 1] {
         let Self { camera, count } = self;
         let grad = floats(grad);
         let coefficients = empty_f32(&grad, [count, 3]);

@@ -5,7 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, TensorMetadata};
 
 use super::HarmonicsOps;
-use crate::backend::tape::{WayBack, on_tape};
+use crate::backend::tape::{BackwardState, on_tape};
 
 #[derive(Clone, Debug)]
 pub struct HarmonicsState<B: Backend> {
@@ -17,7 +17,7 @@ pub struct HarmonicsState<B: Backend> {
 
 impl<B: HarmonicsOps, S: CheckpointStrategy> HarmonicsOps for Autodiff<B, S>
 where
-    HarmonicsState<B>: WayBack<B, 2>,
+    HarmonicsState<B>: BackwardState<B, 2>,
 {
     fn harmonics(
         base: FloatTensor<Self>,

@@ -8,7 +8,7 @@ use super::HarmonicsOps;
 use super::autodiff::HarmonicsState;
 use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::math::row;
 use crate::ops::colour::cpu::model::{direction, harmonics};
 use crate::scene::SH_C0;
@@ -56,8 +56,8 @@ impl<B: Host> HarmonicsOps for B {
     }
 }
 
-impl<B: Host> WayBack<B, 2> for HarmonicsState<B> {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 2] {
+impl<B: Host> BackwardState<B, 2> for HarmonicsState<B> {
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 2] {
         let (count, device) = (host::rows(&grad), grad.device());
         with_real!(grad.dtype(), T => {
             let [positions, grad] = [&self.positions, &grad].map(host::floats::<B, T>);

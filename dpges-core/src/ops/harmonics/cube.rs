@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 
 use super::HarmonicsOps;
 use super::autodiff::HarmonicsState;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, units};
 use crate::gpu::vector::row3;
 use crate::ops::colour::cube::{Eye, direction, eye, harmonic};
@@ -84,8 +84,8 @@ impl HarmonicsOps for CubeBackend {
     }
 }
 
-impl WayBack<CubeBackend, 2> for HarmonicsState<CubeBackend> {
-    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 2] {
+impl BackwardState<CubeBackend, 2> for HarmonicsState<CubeBackend> {
+    fn backward(self, grad: CubeTensor) -> [Option<CubeTensor>; 2] {
         let [positions, grad] = [self.positions, grad].map(floats);
         let count = grad.shape()[0];
         let (base, detail) = (empty_f32(&grad, [count, 1]), empty_f32(&grad, [count, self.higher]));

@@ -5,7 +5,7 @@ use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::FloatTensor;
 
 use super::{PeelOps, PeelOptions, PeelOutput, PeelState, SurfelShapes};
-use crate::backend::tape::{WayBackFromAll, all_on_tape};
+use crate::backend::tape::{BackwardOfAll, all_on_tape};
 use crate::camera::Camera;
 
 /// Gradients with respect to alpha and to depth.
@@ -13,7 +13,7 @@ pub type Grads<B> = [Option<FloatTensor<B>>; 2];
 
 impl<B: PeelOps, S: CheckpointStrategy> PeelOps for Autodiff<B, S>
 where
-    PeelState<B>: WayBackFromAll<B, 3, 2>,
+    PeelState<B>: BackwardOfAll<B, 3, 2>,
 {
     fn peel(surfels: SurfelShapes<Self>, camera: Camera, options: PeelOptions) -> PeelOutput<Self> {
         let [positions, quaternions, log_scales, margins] = surfels.into_array();

@@ -13,7 +13,7 @@ use crate::backend::host::{self, Host, with_real};
 use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::backend::tape::WayBackFromAll;
+use crate::backend::tape::BackwardOfAll;
 use crate::camera::Camera;
 use crate::footprint::rays::rays;
 use crate::footprint::surfel::cpu::{Disc, DiscGrad, MIN_FACING, Parameters, Plane};
@@ -423,12 +423,12 @@ impl<B: Host> PeelOps for B {
     }
 }
 
-impl<B: Host> WayBackFromAll<B, 3, 2> for PeelState<B> {
+impl<B: Host> BackwardOfAll<B, 3, 2> for PeelState<B> {
     fn parents(&self) -> [&FloatTensor<B>; 3] {
         [&self.surfels.positions, &self.surfels.quaternions, &self.surfels.log_scales]
     }
 
-    fn go_back_from(self, grads: Grads<B>) -> [Option<FloatTensor<B>>; 3] {
+    fn backward_from(self, grads: Grads<B>) -> [Option<FloatTensor<B>>; 3] {
         let Self { surfels, ids, camera, options } = self;
         let (count, device) = (host::rows(&surfels.positions), surfels.positions.device());
         with_real!(surfels.positions.dtype(), T => {

@@ -10,7 +10,7 @@ use cubecl::prelude::*;
 
 use super::autodiff::Grads;
 use super::{PeelOps, PeelOptions, PeelOutput, PeelState, SurfelShapes};
-use crate::backend::tape::WayBackFromAll;
+use crate::backend::tape::BackwardOfAll;
 use crate::camera::Camera;
 use crate::footprint::surfel::cube as disc_cube;
 use crate::footprint::surfel::cube::{
@@ -317,12 +317,12 @@ impl PeelOps for CubeBackend {
     }
 }
 
-impl WayBackFromAll<CubeBackend, 3, 2> for PeelState<CubeBackend> {
+impl BackwardOfAll<CubeBackend, 3, 2> for PeelState<CubeBackend> {
     fn parents(&self) -> [&CubeTensor; 3] {
         [&self.surfels.positions, &self.surfels.quaternions, &self.surfels.log_scales]
     }
 
-    fn go_back_from(self, grads: Grads<CubeBackend>) -> [Option<CubeTensor>; 3] {
+    fn backward_from(self, grads: Grads<CubeBackend>) -> [Option<CubeTensor>; 3] {
         let Self { surfels, ids, camera, options } = self;
         let (surfels, ids) = (contiguous(surfels), integers(ids));
         let like = surfels.positions.clone();

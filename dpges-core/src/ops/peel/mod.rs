@@ -122,7 +122,7 @@ impl<B: Backend> SurfelShapes<B> {
     }
 }
 
-/// The state for the way back from alpha and depth.
+/// The state for the backward pass from alpha and depth.
 #[derive(Debug, Clone)]
 pub struct PeelState<B: Backend> {
     surfels: SurfelShapes<B>,

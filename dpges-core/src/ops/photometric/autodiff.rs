@@ -5,7 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
 use super::{PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
-use crate::backend::tape::{WayBack, on_tape};
+use crate::backend::tape::{BackwardState, on_tape};
 
 #[derive(Clone, Debug)]
 pub struct PhotometricState<B: Backend> {
@@ -17,7 +17,7 @@ pub struct PhotometricState<B: Backend> {
 
 impl<B: PhotometricOps, S: CheckpointStrategy> PhotometricOps for Autodiff<B, S>
 where
-    PhotometricState<B>: WayBack<B, 1>,
+    PhotometricState<B>: BackwardState<B, 1>,
 {
     fn photometric(
         input: PhotometricInput<Self>,

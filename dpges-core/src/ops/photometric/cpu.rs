@@ -11,7 +11,7 @@ use super::{PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeig
 use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::backend::vectors::MOST;
 
 pub const WINDOW: usize = 11;
@@ -291,8 +291,8 @@ impl<B: Host> PhotometricOps for B {
     }
 }
 
-impl<B: Host> WayBack<B, 1> for PhotometricState<B> {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
+impl<B: Host> BackwardState<B, 1> for PhotometricState<B> {
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
         let Self { input, partials, weights, masked } = self;
         let shape: [usize; 3] = input.image.shape().dims();
         with_real!(input.image.dtype(), T => {

@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 use super::autodiff::PhotometricState;
 use super::cpu::{self, RADIUS, taps};
 use super::{PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats};
 use crate::gpu::mask::counts;
@@ -400,8 +400,8 @@ impl PhotometricOps for CubeBackend {
     }
 }
 
-impl WayBack<CubeBackend, 1> for PhotometricState<CubeBackend> {
-    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 1] {
+impl BackwardState<CubeBackend, 1> for PhotometricState<CubeBackend> {
+    fn backward(self, grad: CubeTensor) -> [Option<CubeTensor>; 1] {
         let Self { input, partials, weights, masked } = self;
         let PhotometricInput { image, target, ignored } = contiguous(input);
         let (partials, grad) = (floats(partials), floats(grad));

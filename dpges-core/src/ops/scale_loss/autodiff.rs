@@ -5,7 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
 use super::{ScaleLossOps, ScaleLossOutput};
-use crate::backend::tape::{WayBack, on_tape};
+use crate::backend::tape::{BackwardState, on_tape};
 
 #[derive(Clone, Debug)]
 pub struct ScaleLossState<B: Backend> {
@@ -16,7 +16,7 @@ pub struct ScaleLossState<B: Backend> {
 
 impl<B: ScaleLossOps, S: CheckpointStrategy> ScaleLossOps for Autodiff<B, S>
 where
-    ScaleLossState<B>: WayBack<B, 1>,
+    ScaleLossState<B>: BackwardState<B, 1>,
 {
     fn scale_loss(log_scales: FloatTensor<Self>, weight: f64) -> ScaleLossOutput<Self> {
         let (log_scales, node) = log_scales.into_parts();

@@ -8,7 +8,7 @@ use super::autodiff::ScaleLossState;
 use super::{LINEAR_FROM, ScaleLossOps, ScaleLossOutput};
 use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 
 /// Log-scales of a task.
 const CHUNK: usize = 1 << 13;
@@ -68,8 +68,8 @@ impl<B: Host> ScaleLossOps for B {
     }
 }
 
-impl<B: Host> WayBack<B, 1> for ScaleLossState<B> {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
+impl<B: Host> BackwardState<B, 1> for ScaleLossState<B> {
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 1] {
         with_real!(grad.dtype(), T => {
             let [log_scales, log_mean, grad] = [&self.log_scales, &self.log_mean, &grad].map(host::floats::<B, T>);
             let out = backward(&log_scales, log_mean[0], grad[0] * T::of(self.weight));

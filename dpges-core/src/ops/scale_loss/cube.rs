@@ -9,7 +9,7 @@ use cubecl::prelude::*;
 
 use super::autodiff::ScaleLossState;
 use super::{LINEAR_FROM, ScaleLossOps, ScaleLossOutput};
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats, units};
 use crate::gpu::reduce::{max_units, parts, sum_parts, sum_units};
@@ -178,8 +178,8 @@ impl ScaleLossOps for CubeBackend {
     }
 }
 
-impl WayBack<CubeBackend, 1> for ScaleLossState<CubeBackend> {
-    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 1] {
+impl BackwardState<CubeBackend, 1> for ScaleLossState<CubeBackend> {
+    fn backward(self, grad: CubeTensor) -> [Option<CubeTensor>; 1] {
         let [log_scales, log_mean, grad] = [self.log_scales, self.log_mean, grad].map(floats);
         let surfels = log_scales.shape()[0];
         let out = empty_f32(&log_scales, [surfels, 2]);

@@ -6,7 +6,7 @@ use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
 use super::{SplatInput, SplatOps, with_probe};
 use crate::backend::kept::Kept;
-use crate::backend::tape::{WayBack, on_tape};
+use crate::backend::tape::{BackwardState, on_tape};
 use crate::camera::Camera;
 use crate::footprint::gaussian::tensors::GaussianTensors;
 use crate::scene::ScreenFilter;
@@ -21,7 +21,7 @@ pub struct SplatState<B: Backend> {
 
 impl<B: SplatOps, S: CheckpointStrategy> SplatOps for Autodiff<B, S>
 where
-    SplatState<B>: WayBack<B, 6>,
+    SplatState<B>: BackwardState<B, 6>,
 {
     fn splat(input: SplatInput<Self>, camera: Camera, filter: ScreenFilter, _: Kept) -> FloatTensor<Self> {
         let gaussians = input.gaussians.values();

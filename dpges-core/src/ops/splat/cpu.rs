@@ -15,7 +15,7 @@ use crate::backend::kept::Kept;
 use crate::backend::lanes::Lanes;
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::backend::vectors::MOST;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu as splat;
@@ -150,7 +150,7 @@ fn forward<T: Real>(
         let (candidates, origin, limits) = (lists.of(tile), grid.origin(tile), limits.tile(tile));
         vectorised(SplatTile { candidates, seen: &seen, origin, limits, sums });
     });
-    // the way back takes the same footprints, in place of projecting again
+    // the backward pass takes the same footprints, in place of projecting again
     kept.put(seen);
     to_planes(&sums, layers * CHANNELS, grid)
 }
@@ -518,8 +518,8 @@ impl<B: Host> SplatOps for B {
     }
 }
 
-impl<B: Host> WayBack<B, 6> for SplatState<B> {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 6] {
+impl<B: Host> BackwardState<B, 6> for SplatState<B> {
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 6] {
         let Self { input: SplatInput { gaussians, probe, limits }, camera, filter, kept } = self;
         let (probed, device) = (host::rows(&probe) > 0, limits.device());
         with_real!(limits.dtype(), T => {

@@ -10,7 +10,7 @@ use cubecl::prelude::*;
 use super::autodiff::SplatState;
 use super::{SplatInput, SplatOps, with_probe};
 use crate::backend::kept::Kept;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cube as splat_cube;
 use crate::footprint::gaussian::cube::regions::{WORDS, list_regions, mark_regions};
@@ -402,8 +402,8 @@ impl SplatOps for CubeBackend {
     }
 }
 
-impl WayBack<CubeBackend, 6> for SplatState<CubeBackend> {
-    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 6] {
+impl BackwardState<CubeBackend, 6> for SplatState<CubeBackend> {
+    fn backward(self, grad: CubeTensor) -> [Option<CubeTensor>; 6] {
         let Self { input: SplatInput { gaussians, probe, limits }, camera, filter, .. } = self;
         let probed = probe.shape()[0] > 0;
         let (gaussians, limits, grad) = (gaussians.contiguous(), floats(limits), floats(grad));

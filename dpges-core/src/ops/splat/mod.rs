@@ -49,7 +49,7 @@ pub struct SplatInput<B: Backend> {
     Autodiff
 )]
 pub trait SplatOps: Backend {
-    /// On the tape, CPU kernels keep the projected Gaussians in `kept` for the way back; GPU kernels project them again.
+    /// On the tape, CPU kernels keep the projected Gaussians in `kept` for the backward pass; GPU kernels project them again.
     fn splat(
         #[extension_type] input: SplatInput<Self>,
         camera: Camera,

@@ -4,7 +4,7 @@ use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::{Autodiff, AutodiffBackend, Backend};
 
 use super::{SurfelLossInput, SurfelLossOps, SurfelLossOutput, SurfelLossWeights};
-use crate::backend::tape::{WayBack, on_tape};
+use crate::backend::tape::{BackwardState, on_tape};
 
 #[derive(Clone, Debug)]
 pub struct SurfelLossState<B: Backend> {
@@ -15,7 +15,7 @@ pub struct SurfelLossState<B: Backend> {
 
 impl<B: SurfelLossOps, S: CheckpointStrategy> SurfelLossOps for Autodiff<B, S>
 where
-    SurfelLossState<B>: WayBack<B, 2>,
+    SurfelLossState<B>: BackwardState<B, 2>,
 {
     fn surfel_loss(input: SurfelLossInput<Self>, weights: SurfelLossWeights, masked: bool) -> SurfelLossOutput<Self> {
         let (image, image_node) = input.image.into_parts();

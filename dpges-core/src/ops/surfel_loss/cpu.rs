@@ -8,7 +8,7 @@ use super::autodiff::SurfelLossState;
 use super::{FEWEST_LAYERS, SurfelLossInput, SurfelLossOps, SurfelLossOutput, SurfelLossWeights};
 use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 
 /// Pixels of a task.
 const CHUNK: usize = 1 << 12;
@@ -121,8 +121,8 @@ impl<B: Host> SurfelLossOps for B {
     }
 }
 
-impl<B: Host> WayBack<B, 2> for SurfelLossState<B> {
-    fn go_back(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 2] {
+impl<B: Host> BackwardState<B, 2> for SurfelLossState<B> {
+    fn backward(self, grad: FloatTensor<B>) -> [Option<FloatTensor<B>>; 2] {
         let Self { input, weights, masked } = self;
         let ([layers, height, width], device) = (input.ids.shape().dims(), input.image.device());
         with_real!(input.image.dtype(), T => {

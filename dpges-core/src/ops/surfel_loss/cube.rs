@@ -7,7 +7,7 @@ use cubecl::prelude::*;
 
 use super::autodiff::SurfelLossState;
 use super::{FEWEST_LAYERS, SurfelLossInput, SurfelLossOps, SurfelLossOutput, SurfelLossWeights};
-use crate::backend::tape::WayBack;
+use crate::backend::tape::BackwardState;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats, integers, units};
 use crate::gpu::mask::counts;
@@ -212,8 +212,8 @@ impl SurfelLossOps for CubeBackend {
     }
 }
 
-impl WayBack<CubeBackend, 2> for SurfelLossState<CubeBackend> {
-    fn go_back(self, grad: CubeTensor) -> [Option<CubeTensor>; 2] {
+impl BackwardState<CubeBackend, 2> for SurfelLossState<CubeBackend> {
+    fn backward(self, grad: CubeTensor) -> [Option<CubeTensor>; 2] {
         let Self { input, weights, masked } = self;
         let (input, grad) = (contiguous(input), floats(grad));
         let [layers, height, width] = input.ids.shape().dims();

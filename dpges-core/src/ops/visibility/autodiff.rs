@@ -5,7 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend};
 
 use super::{VisibilityInput, VisibilityOps, VisibilityOutput, VisibilityState};
-use crate::backend::tape::{WayBackFromAll, all_on_tape};
+use crate::backend::tape::{BackwardOfAll, all_on_tape};
 use crate::scene::Peeling;
 
 /// Gradients with respect to weights and to transmittance.
@@ -13,7 +13,7 @@ pub type Grads<B> = [Option<FloatTensor<B>>; 2];
 
 impl<B: VisibilityOps, S: CheckpointStrategy> VisibilityOps for Autodiff<B, S>
 where
-    VisibilityState<B>: WayBackFromAll<B, 2, 2>,
+    VisibilityState<B>: BackwardOfAll<B, 2, 2>,
 {
     fn visibility(input: VisibilityInput<Self>, peeling: Peeling) -> VisibilityOutput<Self> {
         let (alpha, alpha_node) = input.alpha.into_parts();

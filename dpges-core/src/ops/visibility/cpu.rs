@@ -14,7 +14,7 @@ use crate::backend::lanes::Lanes;
 use crate::backend::number::Number;
 use crate::backend::real::Real;
 use crate::backend::simd::vectorised;
-use crate::backend::tape::WayBackFromAll;
+use crate::backend::tape::BackwardOfAll;
 use crate::ops::peel::MAX_LAYERS;
 use crate::scene::Peeling;
 use crate::scene::peeling::{ORDER, RAMP, STEP};
@@ -393,12 +393,12 @@ impl<B: Host> VisibilityOps for B {
     }
 }
 
-impl<B: Host> WayBackFromAll<B, 2, 2> for VisibilityState<B> {
+impl<B: Host> BackwardOfAll<B, 2, 2> for VisibilityState<B> {
     fn parents(&self) -> [&FloatTensor<B>; 2] {
         [&self.input.alpha, &self.input.depth]
     }
 
-    fn go_back_from(self, grads: Grads<B>) -> [Option<FloatTensor<B>>; 2] {
+    fn backward_from(self, grads: Grads<B>) -> [Option<FloatTensor<B>>; 2] {
         let (input, device) = (&self.input, self.input.alpha.device());
         with_real!(input.alpha.dtype(), T => Inputs::<T>::with(input, self.peeling, |inputs| {
             let grads = grads.each_ref().map(|grad| grad.as_ref().map(host::floats::<B, T>));

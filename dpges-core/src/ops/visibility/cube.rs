@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 
 use super::autodiff::Grads;
 use super::{VisibilityInput, VisibilityOps, VisibilityOutput, VisibilityState};
-use crate::backend::tape::WayBackFromAll;
+use crate::backend::tape::BackwardOfAll;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{buffer, cube_dim, empty_f32, floats, integers, units};
 use crate::scene::Peeling;
@@ -341,12 +341,12 @@ impl VisibilityOps for CubeBackend {
     }
 }
 
-impl WayBackFromAll<CubeBackend, 2, 2> for VisibilityState<CubeBackend> {
+impl BackwardOfAll<CubeBackend, 2, 2> for VisibilityState<CubeBackend> {
     fn parents(&self) -> [&FloatTensor<CubeBackend>; 2] {
         [&self.input.alpha, &self.input.depth]
     }
 
-    fn go_back_from(self, grads: Grads<CubeBackend>) -> [Option<FloatTensor<CubeBackend>>; 2] {
+    fn backward_from(self, grads: Grads<CubeBackend>) -> [Option<FloatTensor<CubeBackend>>; 2] {
         let VisibilityInput { alpha, depth, ids, margins } = contiguous(self.input);
         let [layers, height, width]: [usize; 3] = alpha.shape().dims();
         let [of_weights, of_transmittance] = grads.each_ref().map(Option::is_some);

@@ -53,7 +53,7 @@ pub struct VisibilityOutput<B: Backend> {
     pub limits: FloatTensor<B>,
 }
 
-/// The state for the way back.
+/// The state for the backward pass.
 #[derive(Debug, Clone)]
 pub struct VisibilityState<B: Backend> {
     input: VisibilityInput<B>,

@@ -161,12 +161,12 @@ impl TrainArgs {
         ranks.gather(&[]);
         let opened = device.open()?;
         let dataset = Arc::new(config.load_for_training(&source)?);
-        let pursue = |target: &Target| target.pursue(&mut config, &dataset, &opened);
-        let pursuit = self.target.as_ref().map(pursue).transpose()?;
+        let of = |target: &Target| target.plan(&mut config, &dataset, &opened);
+        let plan = self.target.as_ref().map(of).transpose()?;
         let place = Place { device: opened, ranks };
         let run = Run::new(config, dataset, place)?.overwrite(folder.clone(), Origin::new(&source, device))?;
-        if let Some(pursuit) = pursuit {
-            pursuit.save(&folder)?;
+        if let Some(plan) = plan {
+            plan.save(&folder)?;
         }
         Ok(Session { run, folder, device, style })
     }

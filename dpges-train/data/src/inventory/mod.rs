@@ -113,8 +113,8 @@ pub fn survey(layout: &Layout, source: &Source, mut used: HashSet<PathBuf>, read
         found[3].extend(source.frames.iter().filter_map(|frame| Some(frame.depth.as_ref()?.path.clone())));
     }
     for (at, ((kind, what, advice), files)) in NOT_USED.into_iter().zip(&found).enumerate() {
-        let is_spare = at == 4 && !source.points.positions.is_empty();
-        notices.add_files(if is_spare { Kind::Aside } else { kind }, what, root, files, advice);
+        let is_redundant = at == 4 && !source.points.positions.is_empty();
+        notices.add_files(if is_redundant { Kind::Aside } else { kind }, what, root, files, advice);
     }
     for (program, mut files) in foreign::cameras(folder) {
         files.retain(|path| !used.contains(path) && !is_of_model(&folder.key_of(path), path));

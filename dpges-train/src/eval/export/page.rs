@@ -66,6 +66,13 @@ pub enum PageError {
     Scene(#[from] dpges_core::Error),
 }
 
+impl PageError {
+    /// Whether it was asked for wrongly, and nothing failed.
+    pub fn is_usage(&self) -> bool {
+        matches!(self, Self::View { .. })
+    }
+}
+
 fn nearest_text(nearest: &[String]) -> String {
     match nearest {
         [] => ": without the dataset there are no photographs, and --path FILE names no camera".to_owned(),

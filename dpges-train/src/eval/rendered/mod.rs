@@ -46,7 +46,7 @@ pub fn scaled(camera: &Camera, factor: f64) -> Camera {
 pub struct Renderer {
     pub(super) surfels: Surfels,
     pub(super) gaussians: Gaussians,
-    /// Those that `gaussians` are dealt out to.
+    /// Those that `gaussians` are sharded over.
     ranks: Arc<dyn Ranks>,
     /// All that render this scene.
     job: Arc<dyn Ranks>,
@@ -111,7 +111,7 @@ impl Renderer {
         Self::on_ranks(scene, &device.clone().into())
     }
 
-    /// Uploads `scene`, of summed Gaussians behind surfels those that are dealt to this rank. All ranks then render views of such
+    /// Uploads `scene`, of summed Gaussians behind surfels the shard of this rank. All ranks then render views of such
     /// a scene together.
     pub fn on_ranks(scene: &SceneData, place: &Place) -> Self {
         let Place { device, ranks: job } = place.clone();
@@ -176,7 +176,7 @@ impl Renderer {
     }
 
     /// Whether all ranks have to render a view together.
-    pub fn is_dealt(&self) -> bool {
+    pub fn is_sharded(&self) -> bool {
         !self.ranks.is_alone()
     }
 

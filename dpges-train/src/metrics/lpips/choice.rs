@@ -23,6 +23,13 @@ pub enum ChoiceError {
     Network(#[from] LpipsError),
 }
 
+impl ChoiceError {
+    /// Whether it was asked for wrongly, and nothing failed.
+    pub fn is_usage(&self) -> bool {
+        matches!(self, Self::NoneAndOthers | Self::Twice { .. })
+    }
+}
+
 /// `none`, `vgg` and `alex` for those that are installed, or a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Choice {

@@ -56,7 +56,7 @@ impl Steps {
     pub fn step(&mut self) -> Result<(), TrainError> {
         let view = self.next % self.context.dataset.train.len();
         self.next += 1;
-        let report = StepReport::begin(self.context.completed_steps + 1, self.kind(), view, Vec::new());
+        let report = StepReport::begin(self.context.completed_steps + 1, self.stage.plan(), view, Vec::new());
         let begun = begin_step(&mut *self.stage, &mut self.context, report, StepViews::one(view))?;
         self.settle()?;
         self.pending = Some(begun.learn(&mut *self.stage, &mut self.context)?);

@@ -41,7 +41,7 @@ enum Wanted {
 
 /// How a target is reached: the content of `target.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Pursuit {
+pub struct TargetPlan {
     asked: String,
     unit: Unit,
     expected: f64,
@@ -121,14 +121,19 @@ impl Target {
     ///
     /// # Errors
     /// If that cannot be, or what is measured fails.
-    pub fn pursue(&self, config: &mut Config, dataset: &Arc<Dataset>, device: &Device) -> Result<Pursuit, TargetError> {
+    pub fn plan(
+        &self,
+        config: &mut Config,
+        dataset: &Arc<Dataset>,
+        device: &Device,
+    ) -> Result<TargetPlan, TargetError> {
         let asked = self.text.clone();
-        let pursuit = match self.wanted {
+        let plan = match self.wanted {
             Wanted::Time(length) => time::plan(asked, config, dataset, device, length)?,
             Wanted::FramesPerSecond(rate) => speed::plan(asked, config, dataset, device, rate)?,
         };
-        tracing::info!("target {self}: {} expected, with {}", pursuit.unit.text(pursuit.expected), pursuit.how);
-        Ok(pursuit)
+        tracing::info!("target {self}: {} expected, with {}", plan.unit.text(plan.expected), plan.how);
+        Ok(plan)
     }
 }
 
@@ -157,7 +162,7 @@ impl Unit {
     }
 }
 
-impl Pursuit {
+impl TargetPlan {
     /// # Errors
     /// [`dpges_core::Error::Io`].
     pub fn save(&self, folder: &RunFolder) -> dpges_core::Result<()> {
@@ -175,7 +180,7 @@ pub fn conclude(folder: &RunFolder) -> Result<Option<String>, TargetError> {
     if !path.is_file() {
         return Ok(None);
     }
-    let Pursuit { asked, unit, expected, cameras, .. } = read_json(&path)?;
+    let TargetPlan { asked, unit, expected, cameras, .. } = read_json(&path)?;
     let got = match unit {
         Unit::Seconds => MetricsLog::seconds_of_steps(&folder.metrics())?,
         Unit::FramesPerSecond => speed::frames_per_second(&SceneData::load(&folder.scene())?, &cameras)?,
@@ -228,10 +233,10 @@ mod tests {
     fn a_time_sets_the_steps_and_is_kept_until_the_end() {
         let (dataset, device) = (Arc::new(builtin(&options(16, [3, 1], 60))), device());
         let mut config = Config::default();
-        let mut pursue = |text: &str| text.parse::<Target>().unwrap().pursue(&mut config, &dataset, &device);
-        let pursuit = pursue("2h").unwrap();
-        assert!(pursuit.expected > 0.8 * 7200.0 && pursuit.expected <= 7200.0, "{}", pursuit.expected);
-        let error = pursue("1ms").unwrap_err();
+        let mut of = |text: &str| text.parse::<Target>().unwrap().plan(&mut config, &dataset, &device);
+        let plan = of("2h").unwrap();
+        assert!(plan.expected > 0.8 * 7200.0 && plan.expected <= 7200.0, "{}", plan.expected);
+        let error = of("1ms").unwrap_err();
         assert!(error.to_string().contains("too short"), "{error}");
         assert!(config.train.steps > 5000, "{}", config.train.steps);
         assert_eq!(config.refine.budget, Budget::Pixels);
@@ -239,7 +244,7 @@ mod tests {
         let at = tempfile::tempdir().unwrap();
         let folder = RunFolder::new(at.path());
         assert_eq!(conclude(&folder).unwrap(), None);
-        pursuit.save(&folder).unwrap();
+        plan.save(&folder).unwrap();
         std::fs::write(folder.metrics(), "").unwrap();
         let text = conclude(&folder).unwrap().unwrap();
         assert!(text.starts_with("2h: ") && text.ends_with(" s expected, 0.0 s reached"), "{text}");

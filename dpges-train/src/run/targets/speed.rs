@@ -9,7 +9,7 @@ use dpges_render::frame_times::{Rounds, scene_frame_times};
 use dpges_render::path::Size;
 use dpges_render::{Headless, RenderError, check_drawn_as_trained};
 
-use super::{Pursuit, TargetError, Unit};
+use super::{TargetError, TargetPlan, Unit};
 use crate::config::{Budget, Config};
 use crate::dataset::{BuiltinOptions, Dataset, builtin};
 use crate::run::{TrainError, Trainer, budget};
@@ -61,7 +61,7 @@ pub(super) fn plan(
     dataset: &Dataset,
     device: &Device,
     rate: f64,
-) -> Result<Pursuit, TargetError> {
+) -> Result<TargetPlan, TargetError> {
     let headless = Headless::new().map_err(TargetError::NoAdapter)?;
     let size = size_of(dataset);
     let mut measured = [(0, 0.0); 2];
@@ -87,7 +87,7 @@ pub(super) fn plan(
     let expected = 1e3 / model.ms(count);
     let step = dataset.train.len().div_ceil(CAMERAS).max(1);
     let cameras = dataset.train.iter().step_by(step).map(|view| size.apply(&view.camera)).collect();
-    Ok(Pursuit { asked, unit: Unit::FramesPerSecond, expected, how, cameras })
+    Ok(TargetPlan { asked, unit: Unit::FramesPerSecond, expected, how, cameras })
 }
 
 /// Frames per second of `scene` from `cameras`, by the median time.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use burn::tensor::Device;
 
-use super::{Pursuit, TargetError, Unit};
+use super::{TargetError, TargetPlan, Unit};
 use crate::config::Config;
 use crate::dataset::{BuiltinOptions, Dataset, builtin};
 use crate::eval::evaluate;
@@ -58,7 +58,7 @@ pub(super) fn plan(
     dataset: &Arc<Dataset>,
     device: &Device,
     length: Duration,
-) -> Result<Pursuit, TargetError> {
+) -> Result<TargetPlan, TargetError> {
     let begun = Instant::now();
     let mut first = Trainer::new(config.clone(), Arc::clone(dataset), device.clone())?;
     let times = timed(&mut first, FIRST_STEPS)?;
@@ -82,7 +82,7 @@ pub(super) fn plan(
     }
     config.train.steps = steps.min(MOST_STEPS) as usize;
     let how = format!("{} steps of {:.1} ms, {refinement:.1} s of refinement", config.train.steps, 1e3 * step);
-    Ok(Pursuit { asked, unit: Unit::Seconds, expected: costs.of(config), how, cameras: Vec::new() })
+    Ok(TargetPlan { asked, unit: Unit::Seconds, expected: costs.of(config), how, cameras: Vec::new() })
 }
 
 /// How long steps last on a device, by the built-in scene in two sizes: a time of their own and one per pixel, since budgets

@@ -417,7 +417,7 @@ impl Stage for BlendedStage {
         StageCheckpoint::of_blended(self)
     }
 
-    fn hand_on(&self, trained: &mut Trained) {
+    fn finish(&self, trained: &mut Trained) {
         trained.environment = environment::to_data(&self.environment);
         let gaussians = Some(self.drawn());
         match self.blended {

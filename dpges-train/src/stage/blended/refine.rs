@@ -1,7 +1,7 @@
 //! Applies the decisions of [`crate::refine`] to blended Gaussians.
 
 use burn::tensor::{DType, Int, Tensor};
-use dpges_core::ops::blend::outweighing;
+use dpges_core::ops::blend::contributing;
 use dpges_core::ops::jitter::{JitterOptions, NoiseGate, jitter};
 use dpges_core::render::blended::BlendedOptions;
 use dpges_core::scene::Gaussians;
@@ -96,7 +96,7 @@ impl BlendedStage {
         let before = gaussians.len();
         let mut needed: Option<Tensor<1, Int>> = None;
         for view in &context.dataset.train {
-            let marks = outweighing(&gaussians, &view.camera, &options, NEEDED_WEIGHT)?;
+            let marks = contributing(&gaussians, &view.camera, &options, NEEDED_WEIGHT)?;
             needed = Some(if let Some(needed) = needed { needed.max_pair(marks) } else { marks });
         }
         let Some(needed) = needed else { return Ok(None) };

@@ -17,7 +17,7 @@ use crate::eval::LARGEST_PSNR;
 use crate::metrics::{psnr, quantised};
 use crate::refine::growth::Growth;
 use crate::refine::layer_count::{MOST_OPEN, choose, open_share};
-use crate::refine::lobes::{drop_lobes, spare_lobes};
+use crate::refine::lobes::{drop_lobes, redundant_lobes};
 use crate::views::exposure::Correction;
 use crate::views::target::ToTarget;
 
@@ -69,7 +69,7 @@ impl JointStage {
         let psnr: Vec<f64> = pictures(views).map(of_view).collect::<Result<_, _>>()?;
         let mean = psnr.iter().sum::<f64>() / psnr.len() as f64;
         // the first rank decides for all, which must change the scene alike
-        Ok(self.dealt.ranks.of_first(vec![mean])[0])
+        Ok(self.sharding.ranks.of_first(vec![mean])[0])
     }
 
     /// Chooses the smallest number of layers that leaves hardly any pixel of the judging views open; soft rims need two.
@@ -82,7 +82,7 @@ impl JointStage {
         let mut shares = vec![0.0; MAX_LAYERS];
         let views: Vec<&View> = judging_views(context).collect();
         for view in &views {
-            let (camera, ranks) = (&view.camera, &*self.dealt.ranks);
+            let (camera, ranks) = (&view.camera, &*self.sharding.ranks);
             let rendered = render_on_ranks(&surfels, &gaussians, camera, None, &options, Values::KnownFinite, ranks)?;
             let pixels = view.camera.width * view.camera.height;
             let open = open_share(&tensor_to_rows(&rendered.seen.transmittance), pixels);
@@ -116,14 +116,14 @@ impl JointStage {
         let all = [self.surfels.colour(), self.gaussians.colour()];
         let [mut surfel_colour, mut gaussian_colour] = all.clone();
         let drop = |positions: &[f32], colour: &mut ColourData| {
-            let spare = spare_lobes(positions, colour, lobes, &centres, UNSEEN);
-            let found = drop_lobes(colour, lobes, &spare);
+            let redundant = redundant_lobes(positions, colour, lobes, &centres, UNSEEN);
+            let found = drop_lobes(colour, lobes, &redundant);
             [found.idle as f64, found.folded as f64]
         };
         // every rank has all surfels, and only its own Gaussians, whose counts are therefore added up
         let of_surfels = drop(&tensor_to_rows(&surfels), &mut surfel_colour);
         let mut of_gaussians = drop(&tensor_to_rows(&gaussians), &mut gaussian_colour);
-        self.dealt.ranks.add_up(&mut of_gaussians);
+        self.sharding.ranks.add_up(&mut of_gaussians);
         self.surfels.set_colour(&surfel_colour);
         self.gaussians.set_colour(&gaussian_colour);
         let count = lobes * self.primitives();

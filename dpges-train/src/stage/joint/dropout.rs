@@ -5,7 +5,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::Dealt;
+use super::Sharding;
 use crate::config::TrainConfig;
 
 /// Passes over the training views: runs of up to the first leave none out, runs from the second on `train.dropout` of
@@ -21,14 +21,14 @@ pub fn share(train: &TrainConfig, views: usize) -> f64 {
 
 /// Factors [n, 1] of the opacities of the Gaussians of this rank in the step after `completed` ones: 0 of the `share` that is
 /// left out, and 1 / (1 − share) of the others, so that sums are the same on average.
-pub fn factors(dealt: &Dealt, share: f64, seed: u64, completed: usize, device: &Device) -> Tensor<2> {
+pub fn factors(sharding: &Sharding, share: f64, seed: u64, completed: usize, device: &Device) -> Tensor<2> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     // a stream for each step, so that a resumed run leaves out the same ones without a state in the checkpoint
     rng.set_stream(completed as u64);
     let (least, others) = ((share * f64::from(u32::MAX)) as u32, (1.0 / (1.0 - share)) as f32);
     // drawn for all Gaussians on every rank, so that the number of ranks does not matter
-    let all: Vec<f32> = (0..dealt.len()).map(|_| if rng.next_u32() < least { 0.0 } else { others }).collect();
-    let own = dealt.own_of(&all, 1);
+    let all: Vec<f32> = (0..sharding.len()).map(|_| if rng.next_u32() < least { 0.0 } else { others }).collect();
+    let own = sharding.own_of(&all, 1);
     let shape = [own.len(), 1];
     Tensor::from_data(TensorData::new(own, shape), device)
 }
@@ -53,7 +53,7 @@ mod tests {
 
     #[test]
     fn others_make_up_for_those_that_are_left_out() {
-        let of = |completed| factors(&Dealt::new(10_000, Arc::new(Alone)), 0.2, 7, completed, &device());
+        let of = |completed| factors(&Sharding::new(10_000, Arc::new(Alone)), 0.2, 7, completed, &device());
         let rows: Vec<f32> = of(3).into_data().iter().collect();
         let left_out = rows.iter().filter(|&&factor| factor == 0.0).count();
         assert!((1900..2100).contains(&left_out), "{left_out}");

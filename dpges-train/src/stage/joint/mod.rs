@@ -2,12 +2,12 @@
 
 mod automatic_budget;
 mod blended_depth;
-mod dealt;
 mod depth_surfels;
 mod dropout;
 mod limits;
 mod refine;
 mod schedule;
+mod sharding;
 mod sky_masks;
 mod start;
 mod statistics;
@@ -35,9 +35,9 @@ use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
 use crate::optimizer::unit_of;
 use crate::refine::growth::Growth;
 use crate::refine::prune::drawn;
-pub use dealt::{Dealt, OWNERS, in_order};
 pub use limits::SamplingLimits;
 use schedule::{Due, Schedule};
+pub use sharding::{OWNERS, Sharding, in_order};
 use sky_masks::SkyMasks;
 pub use statistics::Statistics;
 pub use supervision::Supervisions;
@@ -52,7 +52,7 @@ pub struct JointStage {
     pub schedule: Schedule,
     pub surfels: SurfelState,
     pub gaussians: GaussianState,
-    pub dealt: Dealt,
+    pub sharding: Sharding,
     pub environment: EnvironmentState,
     /// `None` if primitives may be as fine as they like.
     pub limits: Option<SamplingLimits>,
@@ -77,11 +77,11 @@ impl JointStage {
     ) -> Self {
         let device = &context.device;
         let surfels = SurfelState::new(&start.surfels, OpacityActivation::Linear, device);
-        let dealt = Dealt::new(start.gaussians.len(), context.ranks.clone());
-        let own = start.gaussians.select(&dealt.own());
+        let sharding = Sharding::new(start.gaussians.len(), context.ranks.clone());
+        let own = start.gaussians.select(&sharding.own());
         let gaussians = GaussianState::new(&own, context.config.model.opacity, device);
         let limits = SamplingLimits::new(&surfels, &gaussians, context);
-        Self { limits, supervisions, ..Self::of_states(plan, surfels, gaussians, dealt, environment, context) }
+        Self { limits, supervisions, ..Self::of_states(plan, surfels, gaussians, sharding, environment, context) }
     }
 
     /// A stage of which nothing has been observed, without limits or geometry losses.
@@ -89,7 +89,7 @@ impl JointStage {
         plan: StagePlan,
         surfels: SurfelState,
         gaussians: GaussianState,
-        dealt: Dealt,
+        sharding: Sharding,
         environment: EnvironmentState,
         context: &Context,
     ) -> Self {
@@ -100,7 +100,7 @@ impl JointStage {
             statistics: Statistics::new(surfels.len(), gaussians.len(), &context.device),
             surfels,
             gaussians,
-            dealt,
+            sharding,
             limits: None,
             sky: SkyMasks::new(&environment, context),
             environment,
@@ -122,7 +122,7 @@ impl JointStage {
         let train = &context.config.train;
         let share = dropout::share(train, context.dataset.train.len());
         if share > 0.0 {
-            let factors = dropout::factors(&self.dealt, share, train.seed, completed, &gaussians.opacities.device());
+            let factors = dropout::factors(&self.sharding, share, train.seed, completed, &gaussians.opacities.device());
             gaussians.opacities = gaussians.opacities.clone() * factors;
         }
     }
@@ -148,7 +148,7 @@ impl Stage for JointStage {
 
     /// Leaves out Gaussians that draw nothing.
     fn scene(&self) -> SceneData {
-        let gaussians = self.dealt.all_data(self.drawn_gaussian_data());
+        let gaussians = self.sharding.all_data(self.drawn_gaussian_data());
         // an opacity below 1/255 shows in no picture, and only takes space
         let gaussians = gaussians.select(&drawn(&gaussians.opacities));
         let (surfels, environment) = (self.drawn_surfel_data(), environment::to_data(&self.environment));
@@ -156,11 +156,11 @@ impl Stage for JointStage {
     }
 
     fn ranks(&self) -> Arc<dyn Ranks> {
-        self.dealt.ranks.clone()
+        self.sharding.ranks.clone()
     }
 
     fn gaussian_count(&mut self) -> usize {
-        self.dealt.len()
+        self.sharding.len()
     }
 
     fn is_due(&self, completed: usize) -> bool {
@@ -182,7 +182,7 @@ impl Stage for JointStage {
         let (surfels, gaussians) = all.as_ref().unwrap_or(&own);
         let camera = &input.view.camera;
         let options = self.render_options(&context.config);
-        let ranks = &*self.dealt.ranks;
+        let ranks = &*self.sharding.ranks;
         let rendered = render_on_ranks(surfels, gaussians, camera, input.pose, &options, input.values, ranks)?;
         let mut rendered = match &leaves.environment {
             Some(coefficients) => rendered.in_front_of(input.environment(coefficients)?),
@@ -213,9 +213,9 @@ impl Stage for JointStage {
         let mask = input.target.mask.as_ref();
         let of_counted = |mean: Tensor<1>| mask.map_or(mean.clone(), |mask| mask.of_counted(mean));
         // both terms are those of 3DGS-MCMC; scales in extents, so that the unit of the dataset does not matter
-        if leaves.environment.is_some() && !self.dealt.is_empty() {
-            let opacity = self.dealt.mean(own_gaussians.opacities.clone().abs()) * train.lambda_opacity;
-            let scale = self.dealt.mean(own_gaussians.log_scales.clone().exp())
+        if leaves.environment.is_some() && !self.sharding.is_empty() {
+            let opacity = self.sharding.mean(own_gaussians.opacities.clone().abs()) * train.lambda_opacity;
+            let scale = self.sharding.mean(own_gaussians.log_scales.clone().exp())
                 * (train.lambda_gaussian_scale / self.info.extent);
             losses.total = losses.total + opacity + scale;
         }
@@ -272,24 +272,22 @@ impl Stage for JointStage {
             quaternions: optimizer.joint_geometry * optimizer.quaternions * decay,
             log_scales: optimizer.joint_geometry * optimizer.log_scales * decay,
             opacities: optimizer.opacities * decay,
-            degrees_of_freedom: 0.0,
-            opacity_base: 0.0,
-            opacity_detail: 0.0,
             base: optimizer.base * decay,
             detail: optimizer.detail * decay,
+            ..Rates::default()
         };
         let surfels = if config.train.freeze_surfels { gaussians.of_colours() } else { gaussians };
         // what is behind everything is that of all blocks
         let is_given = self.surroundings.as_ref().is_some_and(|around| around.scene.environment.is_some());
         let environment = if is_given { 0.0 } else { optimizer.environment * decay };
-        StepRates { surfels, gaussians, environment, weighted_sum: [0.0; 3] }
+        StepRates { surfels, gaussians, environment, ..StepRates::default() }
     }
 
     fn checkpoint(&self) -> StageCheckpoint {
         StageCheckpoint::of_joint(self)
     }
 
-    fn hand_on(&self, trained: &mut Trained) {
+    fn finish(&self, trained: &mut Trained) {
         let SceneData { surfels, gaussians, environment, .. } = self.scene();
         (trained.joined, trained.environment) = (Some(InitialScene { surfels, gaussians }), environment);
     }

@@ -100,12 +100,12 @@ impl JointStage {
     }
 
     fn prune_gaussians(&mut self, context: &Context) -> String {
-        let contributions = self.dealt.all_of(self.statistics.max_contributions(), 1);
+        let contributions = self.sharding.all_of(self.statistics.max_contributions(), 1);
         let keep = gaussians_to_keep(&contributions, context.config.refine.gaussian_min_contribution);
-        let before = self.dealt.len();
+        let before = self.sharding.len();
         self.edit_gaussians(&GaussianEdit { keep, ..GaussianEdit::default() }, context);
         self.statistics.reset_gaussians(self.gaussians.len());
-        format!("{} of {before} Gaussians pruned", before - self.dealt.len())
+        format!("{} of {before} Gaussians pruned", before - self.sharding.len())
     }
 
     fn split_gaussians(&mut self, context: &mut Context) -> String {
@@ -113,32 +113,32 @@ impl JointStage {
         self.remove_useless(context);
         let surfels = self.surfels.to_data();
         let room = context.budget.saturating_sub(self.primitives());
-        let before = self.dealt.len();
+        let before = self.sharding.len();
         let factor = context.config.refine.split_factor;
-        let gaussians = self.dealt.all_data(self.gaussians.to_data());
+        let gaussians = self.sharding.all_data(self.gaussians.to_data());
         let limits = (room, self.bounds());
         let (edit, too_large) =
             split(&gaussians, &surfels.positions, &surfels.margins, factor, limits, &mut context.rng);
         self.edit_gaussians(&edit, context);
-        format!("{} of {too_large} Gaussians split that are too large, of {before}", self.dealt.len() - before)
+        format!("{} of {too_large} Gaussians split that are too large, of {before}", self.sharding.len() - before)
     }
 
     /// Removes Gaussians that draw nothing, and those before cameras if copies take their place. Returns how many.
     fn remove_useless(&mut self, context: &Context) -> usize {
-        let before = self.dealt.len();
-        let mut keep = drawn(&self.dealt.all_of(self.gaussians.opacities(), 1));
+        let before = self.sharding.len();
+        let mut keep = drawn(&self.sharding.all_of(self.gaussians.opacities(), 1));
         if self.schedule.copies {
-            let positions = self.dealt.all_of(self.gaussians.columns.positions.raw_rows(), 3);
+            let positions = self.sharding.all_of(self.gaussians.columns.positions.raw_rows(), 3);
             keep = without_floaters(&EmptySpace::of(&context.dataset), keep, &positions);
         }
         self.edit_gaussians(&GaussianEdit { keep, ..GaussianEdit::default() }, context);
-        before - self.dealt.len()
+        before - self.sharding.len()
     }
 
     /// Makes `count` new Gaussians after as many as were `removed` have left: copies of those that answer for the most error, or
     /// black ones where the error is largest, as the configuration says. Within the budget.
     pub fn add_gaussians(&mut self, context: &mut Context, count: usize, removed: usize) -> Result<String, TrainError> {
-        let before = self.dealt.len();
+        let before = self.sharding.len();
         match context.config.refine.new_gaussians {
             NewGaussians::Copies => self.copy_gaussians(context, before + count),
             NewGaussians::Black => {
@@ -148,8 +148,8 @@ impl JointStage {
         }
         // what was observed is of a scene without the new ones
         self.statistics.reset_gaussians(self.gaussians.len());
-        let gone = removed + before.saturating_sub(self.dealt.len());
-        let added = self.dealt.len().saturating_sub(before);
+        let gone = removed + before.saturating_sub(self.sharding.len());
+        let added = self.sharding.len().saturating_sub(before);
         Ok(format!(
             "{gone} Gaussians removed that draw nothing, float before a camera or exceed the budget, \
              {added} added of {count} wanted"
@@ -159,14 +159,14 @@ impl JointStage {
     /// Copies Gaussians until there are `wanted`, or as many as the budget allows.
     fn copy_gaussians(&mut self, context: &mut Context, wanted: usize) {
         let target = wanted.min(context.budget.saturating_sub(self.surfels.len()));
-        let gaussians = self.dealt.all_data(self.gaussians.to_data());
-        let errors = self.dealt.all_of(self.statistics.errors(), 1);
+        let gaussians = self.sharding.all_data(self.gaussians.to_data());
+        let errors = self.sharding.all_of(self.statistics.errors(), 1);
         let Renewal { rows: keep, opacities, copies } =
             renew(&gaussians, &errors, (target, self.bounds()), true, &mut context.rng);
         // in two edits, because the shared opacities are those of the rows that stay
         self.edit_gaussians(&GaussianEdit { keep, added: GaussianData::neutral(self.info.colour_model, 0) }, context);
-        self.gaussians.set_opacities(&self.dealt.own_of(&opacities, 1));
-        let keep = (0..self.dealt.len()).collect();
+        self.gaussians.set_opacities(&self.sharding.own_of(&opacities, 1));
+        let keep = (0..self.sharding.len()).collect();
         self.edit_gaussians(&GaussianEdit { keep, added: copies }, context);
     }
 
@@ -209,12 +209,12 @@ impl JointStage {
 
     /// Number of primitives of all ranks.
     pub fn primitives(&self) -> usize {
-        self.surfels.len() + self.dealt.len()
+        self.surfels.len() + self.sharding.len()
     }
 
     /// Edits the set of all Gaussians. Gaussians that stay keep their observations.
     fn edit_gaussians(&mut self, edit: &GaussianEdit, context: &Context) {
-        let edit = self.dealt.edit(edit);
+        let edit = self.sharding.edit(edit);
         self.gaussians.edit(&edit);
         // limits depend on positions, and rows have changed
         if let Some(limits) = &mut self.limits {
@@ -230,7 +230,7 @@ impl JointStage {
             drawn = around.values(&drawn.0, &drawn.1);
         }
         let options = self.render_options(&context.config);
-        let (camera, ranks) = (&view.camera, &*self.dealt.ranks);
+        let (camera, ranks) = (&view.camera, &*self.sharding.ranks);
         let rendered = render_on_ranks(&drawn.0, &drawn.1, camera, None, &options, Values::KnownFinite, ranks)?;
         Ok(match &self.environment {
             Some(coefficients) => rendered.in_front_of(environment(&coefficients.raw(), &view.camera)?),

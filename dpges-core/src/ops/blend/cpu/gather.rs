@@ -95,7 +95,7 @@ struct Entry<'a, T, F> {
 }
 
 /// The pixels of a tile in the backward pass.
-struct WayBack<'a, T> {
+struct BackwardState<'a, T> {
     /// T behind the primitive that is next.
     progress: Progress<T>,
     /// Derivative with respect to that T.
@@ -124,7 +124,7 @@ fn add_covered<T: Real, S: Simd>(sums: &mut [Lanes<T, S>], grads: V3<Lanes<T, S>
     }
 }
 
-impl<T: Real> WayBack<'_, T> {
+impl<T: Real> BackwardState<'_, T> {
     /// The gradient with respect to αT through depth, normal and distortion, and that with respect to z over αT.
     #[inline(always)]
     fn maps<S: Simd>(&self, start: usize, normal: V3<T>, blended: Mask<T, S>, depth: Lanes<T, S>) -> [Lanes<T, S>; 2] {
@@ -219,7 +219,7 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
             BlendOrder::Rays => self.said::<S, MAPS>(simd, &self.by_rays::<MAPS>()),
             BlendOrder::Whitened(transparency) => {
                 let tile = HybridTile::new(simd, &self.tile, transparency);
-                self.said::<S, MAPS>(simd, &tile.go_back::<MAPS>(self.grad))
+                self.said::<S, MAPS>(simd, &tile.backward::<MAPS>(self.grad))
             }
         }
     }
@@ -232,11 +232,11 @@ impl<T: Real, F: Projected<T>> GatherTile<'_, T, F> {
         (id, Entry { position: number, footprint, colour: footprint.colour(), normal })
     }
 
-    /// The way back from pixels whose T behind everything is known.
+    /// The backward pass from pixels whose T behind everything is known.
     #[inline(always)]
-    fn way_back(&self, progress: Progress<T>, spread: Spread<T>) -> WayBack<'_, T> {
+    fn way_back(&self, progress: Progress<T>, spread: Spread<T>) -> BackwardState<'_, T> {
         let of_alpha = &self.grad[ALPHA_PLANE * TILE_PIXELS..][..TILE_PIXELS];
-        WayBack {
+        BackwardState {
             behind: std::array::from_fn(|pixel| -of_alpha[pixel]),
             grad: self.grad,
             max_alpha: self.tile.thresholds.max_alpha,

@@ -235,10 +235,10 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
 
     /// Values of every pixel for every entry of the list; `grad` is [planes, `TILE_PIXELS`].
     #[inline(always)]
-    pub fn go_back<const MAPS: bool>(&self, grad: &[T]) -> Vec<Said<T>> {
+    pub fn backward<const MAPS: bool>(&self, grad: &[T]) -> Vec<Said<T>> {
         let pixels = self.pixels::<MAPS>();
         let mut said: Vec<Said<T>> = vec![[[T::zero(); TILE_PIXELS]; 3]; self.tile.list().len()];
-        let back: Vec<WayBack<T>> =
+        let back: Vec<BackwardState<T>> =
             (0..TILE_PIXELS).map(|at| self.say_core::<MAPS>(&pixels[at], at, grad, &mut said)).collect();
         for (position, said) in said.iter_mut().enumerate() {
             self.for_each_fragment(position, |at, found| {
@@ -264,7 +264,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
         at: usize,
         fragment: &Fragment<T>,
         [covered, power]: [T; 2],
-        back: &WayBack<T>,
+        back: &BackwardState<T>,
         reference: T,
     ) {
         let inverse = T::one() / fragment.depth;
@@ -277,9 +277,15 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
     }
 
     /// Says what the core of a pixel says, and returns what the tail needs.
-    fn say_core<const MAPS: bool>(&self, pixel: &Pixel<T>, at: usize, grad: &[T], said: &mut [Said<T>]) -> WayBack<T> {
+    fn say_core<const MAPS: bool>(
+        &self,
+        pixel: &Pixel<T>,
+        at: usize,
+        grad: &[T],
+        said: &mut [Said<T>],
+    ) -> BackwardState<T> {
         let weights = self.weights::<MAPS>(pixel);
-        let mut back = WayBack::new::<MAPS>(&weights, |plane| grad[plane * TILE_PIXELS + at]);
+        let mut back = BackwardState::new::<MAPS>(&weights, |plane| grad[plane * TILE_PIXELS + at]);
         let one = T::one();
         // derivative with respect to T behind the fragment that is next
         let mut behind = T::zero();
@@ -325,7 +331,7 @@ impl<'a, T: Real, F: Projected<T>, S: Simd> HybridTile<'a, T, F, S> {
 }
 
 /// Gradients with respect to the weights of a pixel: that of a fragment's w is `coefficients · payload + rest`.
-struct WayBack<T> {
+struct BackwardState<T> {
     coefficients: [T; PAYLOAD],
     rest: T,
     /// As in [`Weights`].
@@ -337,7 +343,7 @@ struct WayBack<T> {
     of_through: T,
 }
 
-impl<T: Real> WayBack<T> {
+impl<T: Real> BackwardState<T> {
     fn new<const MAPS: bool>(weights: &Weights<T>, grad: impl Fn(usize) -> T) -> Self {
         let mut coefficients = [T::zero(); PAYLOAD];
         coefficients[..3].iter_mut().enumerate().for_each(|(c, value)| *value = grad(c));

@@ -45,7 +45,7 @@ impl<T: Real, S: Simd> Drawn<T, S> {
     }
 }
 
-/// Pixels on the way back, at offsets (`dx`, `dy`) px from the anchor of a footprint.
+/// Pixels in the backward pass, at offsets (`dx`, `dy`) px from the anchor of a footprint.
 pub struct Group<T: Real, S: Simd> {
     pub dx: Lanes<T, S>,
     pub dy: T,

@@ -112,7 +112,7 @@ impl<T: Real> Thresholds<T> {
 #[inline(always)]
 pub fn capped<T: Real, S: Simd>(weight: Lanes<T, S>, max_alpha: T) -> Lanes<T, S> {
     let all = |value: T| Lanes::splat(weight.simd(), value);
-    // on both sides: negative α takes colour away (SSS); below 1 in size, since the way back divides by 1 − α
+    // on both sides: negative α takes colour away (SSS); below 1 in size, since the backward pass divides by 1 − α
     weight.min(all(max_alpha)).max(all(-max_alpha))
 }
 

@@ -1,4 +1,4 @@
-//! One step of the way back through a pixel, from the fragment that was blended last.
+//! One step of the backward pass through a pixel, from the fragment that was blended last.
 
 use cubecl::prelude::*;
 
@@ -80,7 +80,7 @@ pub struct Back {
 
 /// Goes back over a fragment, with T behind it and the derivative with respect to that.
 #[cube]
-pub fn go_back(
+pub fn backward(
     found: Fragment,
     payload: Payload,
     through: f32,

@@ -420,7 +420,7 @@ impl Fragments {
 /// that order.
 fn lists(order: CubeTensor, found: &Pairs, keys: Option<CubeTensor>, grid: TileGrid) -> BlendLists<CubeBackend> {
     let (client, count) = (order.client.clone(), found.primitives.shape()[0]);
-    // the numbers of the pairs are sorted along, so that the way back finds the slot of every pair
+    // the numbers of the pairs are sorted along, so that the backward pass finds the slot of every pair
     let numbers = empty_u32(&order, [count]);
     numbers_kernel::launch(&client, units(count), cube_dim(), buffer(&numbers), count as u32);
     let (pairs, offsets) = match keys {

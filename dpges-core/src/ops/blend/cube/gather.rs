@@ -13,7 +13,7 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::back::{go_back, pixel_grad, spread_of};
+use super::back::{backward, pixel_grad, spread_of};
 use super::fold::{ENTRIES, GROUP, Layout, NUMBERS, find_furthest, fold_entries, list_in_band};
 use super::fragments::{FEATURES, Fragments, Payload, fragment};
 use super::hybrid::gather_mixed;
@@ -138,7 +138,7 @@ fn gather_sorted(
                 let found = fragment(shapes, features, i, x, y, view, form);
                 if found.weight != 0.0f32 {
                     let payload = Payload::load(features, i * FEATURES);
-                    let back = go_back(found, payload, through, behind, of, spread, thresholds, layout.maps);
+                    let back = backward(found, payload, through, behind, of, spread, thresholds, layout.maps);
                     power = back.power;
                     covered = back.covered;
                     grad_depth = back.grad_depth;

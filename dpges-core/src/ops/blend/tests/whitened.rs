@@ -2,7 +2,7 @@ use super::gradients::{check_gradients, check_outputs};
 use super::precision::check_single;
 use super::probe::assert_same_probe;
 use super::*;
-use crate::ops::blend::{CORE, CORE_ALPHA, outweighing};
+use crate::ops::blend::{CORE, CORE_ALPHA, contributing};
 
 const TRANSPARENCIES: [Transparency; 4] =
     [Transparency::Hybrid, Transparency::Nearest, Transparency::Sorted, Transparency::Tail];
@@ -143,7 +143,7 @@ fn those_that_outweigh_a_share_are_marked() {
         ..leaves.gaussians.clone()
     };
     for (options, least) in TRANSPARENCIES.into_iter().flat_map(|t| [0.01, 0.08].map(|least| (hybrid(t), least))) {
-        let marks = outweighing(&gaussians, &camera, &options, least).unwrap();
+        let marks = contributing(&gaussians, &camera, &options, least).unwrap();
         let found: Vec<i32> = marks.into_data().convert::<i32>().to_vec().unwrap();
         // the weight of a primitive is how a pixel changes with its colour
         let weighs = |row: usize| {
@@ -158,7 +158,7 @@ fn those_that_outweigh_a_share_are_marked() {
         let marked: i32 = expected.iter().sum();
         assert!(marked > 0 && (marked as usize) < flat.len(), "{} {least}: {marked}", options.order);
     }
-    let error = outweighing(&gaussians, &camera, &by_rays(), 0.01).unwrap_err().to_string();
+    let error = contributing(&gaussians, &camera, &by_rays(), 0.01).unwrap_err().to_string();
     assert!(error.contains("`order`") && error.contains("rays"), "{error}");
 }
 

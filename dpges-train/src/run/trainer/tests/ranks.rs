@@ -102,7 +102,7 @@ fn what_the_views_of_a_step_want_is_added_up() {
     let of_view = |view: usize| {
         let mut trainer = Trainer::new(config(&CONTROLLED), dataset_of(2), device()).unwrap();
         let Trainer { stage, context, .. } = &mut trainer;
-        let report = StepReport::begin(1, stage.plan().kind, view, Vec::new());
+        let report = StepReport::begin(1, stage.plan(), view, Vec::new());
         let begun = begin_step(&mut **stage, context, report, StepViews::one(view)).unwrap();
         begun.learn(&mut **stage, context).unwrap().settle().unwrap();
         trainer.checkpoint()

@@ -1,4 +1,4 @@
-//! Each pixel's own order (StopThePop): the walk through a tile, and the way back.
+//! Each pixel's own order (StopThePop): the walk through a tile, and the backward pass.
 
 mod replay;
 mod walk;

@@ -1,4 +1,4 @@
-//! The way back. Pixels of a tile do not share an order, so that each goes back by itself, over the list of its fragments,
+//! The backward pass. Pixels of a tile do not share an order, so that each goes back by itself, over the list of its fragments,
 //! and writes what it says about them into a slot of every entry of the list of the tile. Sums over pixels are made from
 //! these.
 
@@ -7,7 +7,7 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::super::back::{go_back, pixel_grad, spread_of};
+use super::super::back::{backward, pixel_grad, spread_of};
 use super::super::fold::{find_furthest, list_in_band};
 use super::super::fragments::{FEATURES, Fragments, Payload, on_ellipse};
 use super::super::{THROUGH, Thresholds};
@@ -100,12 +100,12 @@ fn replay_kernel(
     while last >= 0.0f32 {
         let position = u32::cast_from(last);
         let at = said_at(slot + position, numbers);
-        // the slot holds the position of the fragment before, until the way back overwrites it with what it says
+        // the slot holds the position of the fragment before, until the backward pass overwrites it with what it says
         last = said[at];
         let i = list.entry(ids, position) as usize;
         let found = on_ellipse(Splat::load(table, i * ROW), own.x, own.y);
         let payload = Payload::load(features, i * FEATURES);
-        let back = go_back(found, payload, through, behind, of, spread, thresholds, maps);
+        let back = backward(found, payload, through, behind, of, spread, thresholds, maps);
         said[at] = back.power;
         said[at + comptime!(UNITS as usize)] = back.covered;
         if comptime!(maps) {

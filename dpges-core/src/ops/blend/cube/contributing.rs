@@ -24,7 +24,7 @@ use crate::tiles::binning::cube::TileList;
 
 /// Marks the primitives, in the order of the parameters, whose weight is at least `least` at some pixel.
 #[cube(launch)]
-fn outweighing_kernel(
+fn contributing_kernel(
     shapes: &[f32],
     features: &[f32],
     offsets: &[u32],
@@ -97,7 +97,7 @@ fn outweighing_kernel(
 }
 
 /// `[M]` 1 for every primitive whose weight is at least `least` at some pixel, else 0.
-pub fn outweighing(
+pub fn contributing(
     fragments: &Fragments,
     lists: &BlendLists<CubeBackend>,
     camera: &Camera,
@@ -106,7 +106,7 @@ pub fn outweighing(
 ) -> CubeTensor {
     let count = lists.order.shape()[0];
     let marks = CubeBackend::int_zeros([count].into(), &lists.order.device, IntDType::I32);
-    outweighing_kernel::launch(
+    contributing_kernel::launch(
         &marks.client.clone(),
         cubes(TileGrid::new(camera.width, camera.height).len()),
         cube_dim(),

@@ -16,13 +16,13 @@ use crate::refine::GaussianEdit;
 
 /// The ranks of the Gaussians of a scene.
 #[derive(Clone, Debug)]
-pub struct Dealt {
+pub struct Sharding {
     pub ranks: Arc<dyn Ranks>,
     /// [all] rank of each.
     owners: Vec<u16>,
 }
 
-impl Dealt {
+impl Sharding {
     /// Shards `count` Gaussians over the ranks, one by one.
     pub fn new(count: usize, ranks: Arc<dyn Ranks>) -> Self {
         let owners = (0..count).map(|row| (row % ranks.count()) as u16).collect();
@@ -92,7 +92,7 @@ impl Dealt {
         if self.ranks.is_alone() {
             return own;
         }
-        in_order(&self.owners, &self.ranks.gather_numbers(&own), width).expect("every rank has what is dealt to it")
+        in_order(&self.owners, &self.ranks.gather_numbers(&own), width).expect("every rank has its Gaussians")
     }
 
     /// All Gaussians, in their order, from the `own` of each rank.
@@ -153,7 +153,7 @@ pub fn in_order(owners: &[u16], of_ranks: &[Vec<f32>], width: usize) -> Option<V
     for &owner in owners {
         all.extend(rows.get_mut(usize::from(owner))?.next()?);
     }
-    // a rest of rows was dealt to nobody
+    // the last rows belong to no rank
     (all.len() == of_ranks.iter().map(Vec::len).sum::<usize>()).then_some(all)
 }
 
@@ -183,13 +183,13 @@ mod tests {
         let expected = edit.apply(&before);
         for count in [1, 2, 3, 4] {
             let parts = on_ranks(count, |ranks| {
-                let mut dealt = Dealt::new(before.len(), ranks);
-                let own = before.select(&dealt.own());
-                assert_eq!(dealt.all_data(own.clone()), before);
-                let own = dealt.edit(&edit).apply(&own);
-                assert_eq!(own, expected.select(&dealt.own()));
-                assert_eq!(dealt.own_of(&expected.opacities, 1), own.opacities);
-                (dealt.all_data(own.clone()), own.len())
+                let mut sharding = Sharding::new(before.len(), ranks);
+                let own = before.select(&sharding.own());
+                assert_eq!(sharding.all_data(own.clone()), before);
+                let own = sharding.edit(&edit).apply(&own);
+                assert_eq!(own, expected.select(&sharding.own()));
+                assert_eq!(sharding.own_of(&expected.opacities, 1), own.opacities);
+                (sharding.all_data(own.clone()), own.len())
             });
             let fewest = parts.iter().map(|part| part.1).min().unwrap();
             for (all, own) in parts {
@@ -202,14 +202,14 @@ mod tests {
     #[test]
     fn columns_of_as_many_ranks_are_taken_up_again() {
         on_ranks(2, |ranks| {
-            let mut dealt = Dealt::new(4, ranks.clone());
-            dealt.edit(&GaussianEdit { keep: vec![1, 2, 3], added: numbered(0..0) });
-            let (_, column) = dealt.column().unwrap();
-            let again = Dealt::from_column(Some(column.clone()), 3, ranks.clone()).unwrap();
+            let mut sharding = Sharding::new(4, ranks.clone());
+            sharding.edit(&GaussianEdit { keep: vec![1, 2, 3], added: numbered(0..0) });
+            let (_, column) = sharding.column().unwrap();
+            let again = Sharding::from_column(Some(column.clone()), 3, ranks.clone()).unwrap();
             assert_eq!(again.owners, [1, 0, 1]);
-            let of_three = Dealt::from_column(Some(vec![0.0, 1.0, 2.0]), 3, ranks.clone()).unwrap();
+            let of_three = Sharding::from_column(Some(vec![0.0, 1.0, 2.0]), 3, ranks.clone()).unwrap();
             assert_eq!(of_three.owners, [0, 1, 0]);
-            assert!(Dealt::from_column(Some(column), 5, ranks).unwrap_err().contains("owners"));
+            assert!(Sharding::from_column(Some(column), 5, ranks).unwrap_err().contains("owners"));
         });
     }
 }
