@@ -248,7 +248,7 @@ mod tests {
     use pulp::WithSimd;
 
     use super::*;
-    use crate::backend::simd::vectorised;
+    use crate::backend::vectorised::vectorised;
     use crate::backend::vectors::MOST;
 
     /// Replaces numbers by their exponentials or by the logarithms of 1 and them, by lanes.

@@ -2,14 +2,14 @@
 //! entries on the tape, reads from a device.
 
 pub mod device;
-mod functions;
 pub(crate) mod host;
 pub mod kept;
 pub(crate) mod lanes;
 pub(crate) mod number;
 pub mod readback;
 pub(crate) mod real;
-pub(crate) mod simd;
 pub(crate) mod tape;
 pub(crate) mod tensor_list;
+mod vector_math;
+pub(crate) mod vectorised;
 pub(crate) mod vectors;

@@ -2,8 +2,8 @@
 
 use pulp::Simd;
 
-use super::functions;
-pub use super::functions::MOST;
+use super::vector_math;
+pub use super::vector_math::MOST;
 
 /// The vectors of a number. [`Lanes`](super::lanes::Lanes) has the same as operators.
 pub trait Vectors: Copy {
@@ -112,7 +112,7 @@ macro_rules! implement {
 
 implement! {
     f32, f32s, m32s, F32_LANES, as_simd_f32s, as_mut_simd_f32s, first_true_m32s,
-    functions::exp_nonpositive_f32, functions::ln_1p_share_f32, functions::exp_f32, functions::ln_f32, functions::sin_cos_f32,
+    vector_math::exp_nonpositive_f32, vector_math::ln_1p_share_f32, vector_math::exp_f32, vector_math::ln_f32, vector_math::sin_cos_f32,
     splat_lanes(value: f32) -> S::f32s = splat_f32s;
     add_lanes(a: S::f32s, b: S::f32s) -> S::f32s = add_f32s;
     sub_lanes(a: S::f32s, b: S::f32s) -> S::f32s = sub_f32s;
@@ -133,7 +133,7 @@ implement! {
 
 implement! {
     f64, f64s, m64s, F64_LANES, as_simd_f64s, as_mut_simd_f64s, first_true_m64s,
-    functions::exp_nonpositive_f64, functions::ln_1p_share_f64, functions::exp_f64, functions::ln_f64, functions::sin_cos_f64,
+    vector_math::exp_nonpositive_f64, vector_math::ln_1p_share_f64, vector_math::exp_f64, vector_math::ln_f64, vector_math::sin_cos_f64,
     splat_lanes(value: f64) -> S::f64s = splat_f64s;
     add_lanes(a: S::f64s, b: S::f64s) -> S::f64s = add_f64s;
     sub_lanes(a: S::f64s, b: S::f64s) -> S::f64s = sub_f64s;

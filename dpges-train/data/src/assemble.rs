@@ -18,8 +18,9 @@ use super::image::masks::Masked;
 use super::image::{codec, depth, masks, reading};
 use super::layout::Layout;
 use super::names::{in_folder, listing};
+use super::near_plane::near_plane;
 use super::reprojection;
-use super::world::{drop_lost, mean_and_extent, near};
+use super::world::{drop_lost, mean_and_extent};
 use super::{Dataset, Format, LoadOptions, PointCloud, inventory, panoramas};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
@@ -41,7 +42,7 @@ pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOption
         let message = format!("{lost} of the points are not finite, or far from everything");
         source.notices.add(Kind::Missing, message, "they are left out");
     }
-    let near = options.near.unwrap_or_else(|| near(&source.frames, &source.points, extent));
+    let near = options.near.unwrap_or_else(|| near_plane(&source.frames, &source.points, extent));
     source.frames.iter_mut().for_each(|frame| frame.camera.near = near);
 
     let mut used: HashSet<PathBuf> =

@@ -48,6 +48,7 @@ mod key;
 mod layout;
 mod load_options;
 pub mod names;
+mod near_plane;
 pub mod neighbours;
 mod panoramas;
 mod reprojection;

@@ -2,8 +2,7 @@
 
 use glam::DVec3;
 
-use super::formats::source::{Frame, RawPoints};
-use super::sampled;
+use super::formats::source::RawPoints;
 
 /// Cameras that may be astray, of all; from so many cameras on it may be one.
 const ASTRAY: f64 = 0.1;
@@ -12,16 +11,6 @@ const FEWEST: usize = 5;
 const FAR: f64 = 10.0;
 /// Distance from the middle, over the extent and over the median distance of the points, beyond which there is no point.
 const FARTHEST_POINT: f64 = 1e5;
-/// Near plane over the depth of the nearest points that a view sees, over the median depth, and over the extent where there are
-/// no points.
-const NEAR: f64 = 0.1;
-const LEAST_NEAR: f64 = 1e-3;
-const NEAR_OF_EXTENT: f64 = 2.5e-3;
-/// Share of the points of a view that are nearer than its nearest points: some are wrong.
-const TOO_NEAR: f64 = 0.01;
-/// Points that are projected into views, at most: where it is not known which views see them, and where it is.
-const MOST_POINTS: usize = 20_000;
-const MOST_SEEN: usize = 1_000_000;
 
 /// The mean of `centres` and the extent of the scene: 1.1 × the largest distance from it, 1 where that is 0. Up to a tenth of the
 /// centres, ten times as far away as any other, are left out.
@@ -40,7 +29,7 @@ pub fn mean_and_extent(centres: &[DVec3]) -> (DVec3, f64) {
 }
 
 /// The upper of the medians, 0 without numbers.
-fn middle(values: impl Iterator<Item = f64>) -> f64 {
+pub fn middle(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     let at = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(at, f64::total_cmp).1 }
@@ -61,30 +50,6 @@ pub fn drop_lost(points: &mut RawPoints, mean: DVec3, extent: f64) -> usize {
     points.colours = kept.iter().map(|&row| points.colours[row]).collect();
     points.seen_by = kept.iter().map(|&row| seen_by.of(row).iter().copied()).collect();
     all - kept.len()
-}
-
-/// The near plane of cameras that see `points`: a tenth of the depth of the nearest that any of them sees, and at least a
-/// thousandth of the median. `extent` decides where there are none. World units.
-pub fn near(frames: &[Frame], points: &RawPoints, extent: f64) -> f64 {
-    let RawPoints { positions, seen_by, .. } = points;
-    let all: Vec<u32> = sampled(frames.len()).map(|frame| frame as u32).collect();
-    let are_unknown = seen_by.are_unknown();
-    let most = if are_unknown { MOST_POINTS } else { MOST_SEEN };
-    let mut depths: Vec<Vec<f64>> = vec![Vec::new(); frames.len()];
-    for point in (0..positions.len()).step_by(positions.len().div_ceil(most).max(1)) {
-        for &frame in if are_unknown { &all } else { seen_by.of(point) } {
-            let seen = frames[frame as usize].camera.pixel(positions[point]);
-            depths[frame as usize].extend(seen.map(|(_, depth)| depth));
-        }
-    }
-    let nearest = depths.iter_mut().filter(|depths| !depths.is_empty()).map(|depths| {
-        let at = (TOO_NEAR * depths.len() as f64) as usize;
-        *depths.select_nth_unstable_by(at, f64::total_cmp).1
-    });
-    match nearest.min_by(f64::total_cmp) {
-        Some(nearest) => (NEAR * nearest).max(LEAST_NEAR * middle(depths.into_iter().flatten())),
-        None => NEAR_OF_EXTENT * extent,
-    }
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use dpges_core::ops::adam::AdamStep;
+use dpges_core::ops::adam::{AdamStep, BETAS, EPSILON};
 
 use super::pose_step::PoseStep;
 use crate::config::{OptimizerConfig, TrainConfig};
@@ -11,9 +11,6 @@ use crate::config::{OptimizerConfig, TrainConfig};
 const EXPOSURE_DECAY: f64 = 0.1;
 /// Share of the last stage after which rates other than those of positions begin to decay.
 const DECAY_FROM: f64 = 0.7;
-/// Adam's decay of the mean of gradients and of that of their squares, and what is added to the denominator (3DGS).
-const BETAS: [f64; 2] = [0.9, 0.999];
-const EPSILON: f64 = 1e-15;
 /// Share of the run over which the learning rates of poses rise from 0.
 const POSE_RISE: f64 = 0.1;
 /// Decay of both of Adam's means for poses, each time that a view is seen, which is some dozens of times.

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::{AdamOps, AdamOutput, AdamStep};
 use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
-use crate::backend::simd::vectorised;
+use crate::backend::vectorised::vectorised;
 
 const CHUNK: usize = 1 << 14;
 

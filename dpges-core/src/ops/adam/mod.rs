@@ -20,6 +20,10 @@ use burn::tensor::Tensor;
 use crate::error::Result;
 use crate::scene::tensors::check_shape;
 
+/// β1 and β2, and ε (3DGS).
+pub const BETAS: [f64; 2] = [0.9, 0.999];
+pub const EPSILON: f64 = 1e-15;
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamStep {
     pub learning_rate: f64,

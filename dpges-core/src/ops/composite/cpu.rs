@@ -12,8 +12,8 @@ use crate::backend::host::{self, Host, with_real};
 use crate::backend::lanes::Lanes;
 use crate::backend::number::Number;
 use crate::backend::real::Real;
-use crate::backend::simd::vectorised;
 use crate::backend::tape::BackwardOfAll;
+use crate::backend::vectorised::vectorised;
 use crate::math::{V3, add, dot, row, scale};
 use crate::tiles::bands::{BAND_COUNT, Bands};
 

@@ -7,28 +7,14 @@ use burn::backend::tensor::FloatTensor;
 use rayon::prelude::*;
 
 use super::autodiff::PhotometricState;
-use super::{PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
+use super::{C1, C2, PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights, RADIUS, WINDOW, taps};
 use crate::backend::host::{self, Host, with_real};
 use crate::backend::real::Real;
-use crate::backend::simd::vectorised;
 use crate::backend::tape::BackwardState;
+use crate::backend::vectorised::vectorised;
 use crate::backend::vectors::MOST;
 
-pub const WINDOW: usize = 11;
-pub const RADIUS: usize = WINDOW / 2;
-const SIGMA_PX: f64 = 1.5;
-pub const C1: f64 = 0.01 * 0.01;
-pub const C2: f64 = 0.03 * 0.03;
 const MIN_ROWS: usize = 8;
-
-/// Normalised weights of the window.
-pub fn taps<T: Real>() -> [T; WINDOW] {
-    let raw: [f64; WINDOW] =
-        std::array::from_fn(|i| (-(i as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp());
-    let sum: f64 = raw.iter().sum();
-    // normalised in f64, so that f32 and f64 have one window
-    raw.map(|tap| T::of(tap / sum))
-}
 
 /// `Q` images that are windowed together, interleaved by row: [row, Q, W].
 struct Rows<T> {

@@ -6,8 +6,8 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use super::autodiff::PhotometricState;
-use super::cpu::{self, RADIUS, taps};
 use super::{PhotometricInput, PhotometricOps, PhotometricOutput, PhotometricWeights};
+use super::{RADIUS, taps};
 use crate::backend::tape::BackwardState;
 use crate::gpu::gather::zeros;
 use crate::gpu::launch::{UNITS, buffer, cube_dim, cubes, empty_f32, floats};
@@ -40,8 +40,8 @@ const DOWN: u32 = 4;
 const _: () = assert!(SUMS * UNITS as usize <= ROWS * MEANS, "the sums take the place of the rows");
 const _: () = assert!(PADDED * TILE / ACROSS <= UNITS, "each unit has one place of a row");
 const _: () = assert!(TILE * TILE / DOWN * MEANS as u32 <= UNITS, "each unit has one place of a column of a quantity");
-const C1: f32 = cpu::C1 as f32;
-const C2: f32 = cpu::C2 as f32;
+const C1: f32 = super::C1 as f32;
+const C2: f32 = super::C2 as f32;
 
 /// Weights of the window by distance from its centre, and the tiles of the images.
 #[derive(CubeType, CubeLaunch, Clone, Copy)]

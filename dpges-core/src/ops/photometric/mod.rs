@@ -20,8 +20,26 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Dispatch, ExtensionType, backend_extension};
 use burn::tensor::Tensor;
 
+use crate::backend::real::Real;
 use crate::error::Result;
 use crate::scene::tensors::check_shape;
+
+/// Width of the Gaussian window of SSIM and its standard deviation, px (3DGS).
+const WINDOW: usize = 11;
+const RADIUS: usize = WINDOW / 2;
+const SIGMA_PX: f64 = 1.5;
+/// What keeps quotients of SSIM finite, for values from 0 to 1 (3DGS).
+const C1: f64 = 0.01 * 0.01;
+const C2: f64 = 0.03 * 0.03;
+
+/// Normalised weights of the window.
+fn taps<T: Real>() -> [T; WINDOW] {
+    let raw: [f64; WINDOW] =
+        std::array::from_fn(|i| (-(i as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp());
+    let sum: f64 = raw.iter().sum();
+    // normalised in f64, so that f32 and f64 have one window
+    raw.map(|tap| T::of(tap / sum))
+}
 
 /// Without gradients. The value is `offset + l1 · L1 + ssim · SSIM`, times `pixels_per_counted`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,8 +2,8 @@
 
 pub(super) mod colmap;
 pub(super) mod guest;
+mod held_out;
 pub(super) mod nerfstudio;
 mod ply;
 pub(super) mod source;
-mod split;
 pub(super) mod transforms;

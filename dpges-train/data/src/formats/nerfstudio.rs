@@ -7,7 +7,7 @@ use std::path::Path;
 
 use super::source::{Source, Split};
 use super::transforms::{Transforms, read_transforms};
-use super::{ply, split};
+use super::{held_out, ply};
 use crate::error::Result;
 use crate::finding::Kind;
 use crate::key::{key, parent};
@@ -42,8 +42,8 @@ pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, optio
     } else {
         let names: Vec<String> = source.frames.iter().map(|frame| frame.name.clone()).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let splits = split::from_lists(&[&folder.root], &names, &mut source)?;
-        let splits = splits.unwrap_or_else(|| split::every_nth(names.len(), options.test_every));
+        let splits = held_out::from_lists(&[&folder.root], &names, &mut source)?;
+        let splits = splits.unwrap_or_else(|| held_out::every_nth(names.len(), options.test_every));
         source.frames.iter_mut().zip(splits).for_each(|(frame, split)| frame.split = split);
     }
     let cloud = |path: String| folder.get(&path).or_else(|| folder.get(parent(&key(&path)).1)).cloned().ok_or(path);

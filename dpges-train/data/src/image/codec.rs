@@ -1,4 +1,4 @@
-//! Photographs in files: decoding, compositing, making smaller.
+//! Photographs in files: decoding, making smaller.
 
 use std::fs::File;
 use std::io::{self, Cursor, Read, Seek, SeekFrom};
@@ -7,28 +7,18 @@ use std::path::Path;
 use exif::{In, Tag};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader, ImageResult};
 
+use super::alpha::Alpha;
 use super::resize;
 use crate::Picture;
 use crate::conventions::unread_format;
 use crate::error::{DatasetError, Result, read, unreadable};
 
-/// Alpha, of 255, from which on a pixel counts, where alpha is a mask.
-const COUNTS: u8 = 128;
 /// Bytes of a file that are read for its header at first. The crate `image` reads the whole of a JPEG.
 const BEGINNING: u64 = 1 << 18;
 /// Bytes at the end of a file in which a JPEG or a PNG ends; if not, something follows, or something is missing.
 const END: u64 = 64;
 const END_OF_JPEG: [u8; 2] = [0xff, 0xd9];
 const END_OF_PNG: [u8; 4] = *b"IEND";
-
-/// The meaning of the alpha of images.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Alpha {
-    /// How much of the photograph covers this background.
-    Matte([f64; 3]),
-    /// Which pixels count.
-    Mask,
-}
 
 impl Picture {
     /// The picture made smaller, to `width` × `height` px, by a Catmull-Rom filter that is widened by the reduction, and
@@ -128,39 +118,12 @@ fn jpeg_ends(bytes: &[u8]) -> bool {
     }
 }
 
-/// Decodes a PNG, JPEG or WebP, grey or coloured; 16 bits are rounded to 8. If the file has alpha (not premultiplied), which is
-/// a matte, colour is composited in float, `alpha · colour + (1 − alpha) · background`, then rounded. If alpha is a mask,
-/// colour is as stored, and pixels of less than half alpha do not count.
+/// Decodes a PNG, JPEG or WebP, grey or coloured; 16 bits are rounded to 8. [`Alpha`] says what the alpha of the file means.
 ///
 /// # Errors
 /// The errors of [`decoded`].
 pub(crate) fn decode(path: &Path, alpha: Alpha) -> Result<Picture> {
-    let decoded = decoded(path)?;
-    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
-    if !decoded.color().has_alpha() {
-        return Ok(Picture { width, height, bytes: decoded.into_rgb8().into_raw(), alpha: None, counted: None });
-    }
-    let rgba = decoded.into_rgba8().into_raw();
-    let pixels = rgba.as_chunks::<4>().0;
-    match alpha {
-        Alpha::Mask => {
-            let bytes = pixels.iter().flat_map(|&[red, green, blue, _]| [red, green, blue]).collect();
-            let counted = pixels.iter().map(|&[.., alpha]| alpha >= COUNTS).collect();
-            Ok(Picture { width, height, bytes, alpha: None, counted: Some(counted) })
-        }
-        Alpha::Matte(background) => {
-            let composited = |&[colour @ .., alpha]: &[u8; 4]| -> [u8; 3] {
-                let alpha = f32::from(alpha) / 255.0;
-                let over = |colour: u8, background: f64| {
-                    (alpha * f32::from(colour) + (1.0 - alpha) * 255.0 * background as f32).round() as u8
-                };
-                std::array::from_fn(|channel| over(colour[channel], background[channel]))
-            };
-            let bytes = pixels.iter().flat_map(composited).collect();
-            let alpha = pixels.iter().map(|&[.., alpha]| alpha).collect();
-            Ok(Picture { width, height, bytes, alpha: Some(alpha), counted: None })
-        }
-    }
+    Ok(alpha.applied(decoded(path)?))
 }
 
 /// The image in a file.

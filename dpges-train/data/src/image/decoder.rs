@@ -6,7 +6,8 @@ use std::sync::{Mutex, PoisonError};
 use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::{DMat3, DVec3};
 
-use super::codec::{self, Alpha};
+use super::alpha::Alpha;
+use super::codec;
 use super::photograph::ImageInfo;
 use super::{depth, masks, panorama, undistort};
 use crate::error::{DatasetError, Result};

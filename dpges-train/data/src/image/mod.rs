@@ -1,5 +1,6 @@
 //! Photographs, masks and depth maps: decoded, undistorted, made smaller, kept in memory or read again.
 
+mod alpha;
 pub(super) mod cache;
 pub(super) mod codec;
 pub(super) mod decoder;

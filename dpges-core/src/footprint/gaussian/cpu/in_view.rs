@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::Splat;
 use crate::backend::real::Real;
-use crate::backend::simd::vectorised;
+use crate::backend::vectorised::vectorised;
 use crate::backend::vectors::MOST;
 use crate::footprint::gaussian::tensors::GaussianRows;
 use crate::math::CameraOf;

@@ -12,7 +12,7 @@ use super::walk::{Progress, Said, Sorted, Thresholds, Tile, capped, walk_tile};
 use crate::backend::kept::Kept;
 use crate::backend::lanes::{Lanes, Mask};
 use crate::backend::real::Real;
-use crate::backend::simd::vectorised;
+use crate::backend::vectorised::vectorised;
 use crate::camera::Camera;
 use crate::footprint::gaussian::cpu::ParameterGrad;
 use crate::footprint::gaussian::tensors::GaussianRows;

@@ -17,7 +17,7 @@ use glam::DVec3;
 
 use self::camera_model::CameraRecord;
 use super::source::{Frame, PanoramaPart, RawPoints, Source};
-use super::{ply, split};
+use super::{held_out, ply};
 use crate::check::median;
 use crate::error::{DatasetError, Result};
 use crate::layout::Layout;
@@ -196,8 +196,8 @@ fn read_frames(
     let root = &layout.folder.root;
     let cameras = Cameras::read(model)?;
     let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
-    let splits = split::from_lists(&[root, &root.join("sparse"), model], &names, source)?;
-    let splits = splits.unwrap_or_else(|| split::every_nth(images.len(), options.test_every));
+    let splits = held_out::from_lists(&[root, &root.join("sparse"), model], &names, source)?;
+    let splits = splits.unwrap_or_else(|| held_out::every_nth(images.len(), options.test_every));
     let pictures = layout.folder.pictures(&names, &["images", ""]);
     let mut frame_of = BTreeMap::new();
     for ((image, split), picture) in images.iter().zip(splits).zip(pictures) {

@@ -13,7 +13,7 @@ use glam::{DMat3, DVec3};
 
 use super::source::{Frame, PanoramaPart, RawPoints, Source, lens};
 use super::transforms::{ROTATION, rigid};
-use super::{ply, split};
+use super::{held_out, ply};
 use crate::error::{DatasetError, Result};
 use crate::finding::{Kind, Notices};
 use crate::image::codec;
@@ -153,8 +153,8 @@ pub(crate) fn read(layout: &Layout, format: Format, files: &[PathBuf], options: 
     }
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     let beside = path.parent().unwrap_or(path);
-    let splits = split::from_lists(&[&folder.root, beside], &names, &mut source)?;
-    let splits = splits.unwrap_or_else(|| split::every_nth(names.len(), options.test_every));
+    let splits = held_out::from_lists(&[&folder.root, beside], &names, &mut source)?;
+    let splits = splits.unwrap_or_else(|| held_out::every_nth(names.len(), options.test_every));
     let pictures = folder.pictures(&names, &["images", ""]);
     let mut frame_of = vec![None; shots.len()];
     for (((&index, name), split), image) in order.iter().zip(names).zip(splits).zip(pictures) {

@@ -189,7 +189,7 @@ mod tests {
     use pulp::WithSimd;
 
     use super::*;
-    use crate::backend::simd::vectorised;
+    use crate::backend::vectorised::vectorised;
 
     /// Results of e^x, ln x, sin x and cos x.
     struct All<'a>(&'a [f32]);
