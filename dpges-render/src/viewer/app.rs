@@ -4,9 +4,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use eframe::egui_wgpu::RenderState;
-use egui::{CentralPanel, Context, Frame, Id, Modal, Panel, Spinner, Ui, ViewportCommand};
+use egui::{CentralPanel, Context, Frame, Id, Panel, Spinner, Ui, ViewportCommand};
 
 use super::dialogs::{Answer, Purpose};
+use super::editing::{EditedScene, Editing};
 use super::keys::{Command, commands, show_help};
 use super::live::LiveScene;
 use super::loading::{Opened, Opener};
@@ -15,6 +16,7 @@ use super::messages::Message;
 use super::panels;
 use super::path_editor::PathEditor;
 use super::pending::Pending;
+use super::question::question;
 use super::recent::RecentFiles;
 use super::start::{DeviceFailure, Start};
 use super::start_page::{self, Choice};
@@ -22,6 +24,12 @@ use super::state::{State, waker};
 use super::views::{DatasetViews, Views};
 use crate::RenderError;
 use crate::navigation::Mode;
+
+/// What would lose edits that are not saved.
+enum Leaving {
+    Close,
+    Open(PathBuf),
+}
 
 /// The viewer, for any window of egui.
 pub struct Viewer {
@@ -31,8 +39,11 @@ pub struct Viewer {
     opener: Opener,
     recent: RecentFiles,
     typed_path: String,
+    /// Whether the user is asked what becomes of the training.
     closing: bool,
     may_close: bool,
+    /// What the user is asked about, while edits are not saved.
+    leaving: Option<Leaving>,
     failure: DeviceFailure,
 }
 
@@ -54,6 +65,7 @@ impl Viewer {
             typed_path: String::new(),
             closing: false,
             may_close: false,
+            leaving: None,
             failure,
         };
         match start {
@@ -99,6 +111,8 @@ impl Viewer {
         if self.closing {
             self.ask_about_training(&context);
         }
+        self.ask_about_edits(&context);
+        panels::editing::ask_to_replace(&mut self.state, &context);
         drop_hint(&context);
     }
 
@@ -143,7 +157,7 @@ impl Viewer {
         }
         if let Some(scene) = self.state.live.as_ref().and_then(LiveScene::take_scene) {
             let is_first = self.state.scene.is_none();
-            self.state.show_scene("training".to_owned(), &scene, is_first);
+            self.state.show_scene("training".to_owned(), &scene, &scene.info, is_first);
         }
         match self.state.dialogs.poll() {
             Some(Answer::File(purpose, file)) => self.use_file(context, purpose, file),
@@ -164,8 +178,14 @@ impl Viewer {
         if self.state.live.is_some() {
             let text = "This window shows a training: open other scenes in another one, with `dpges view`.";
             self.state.message = Some(Message::Note(text.to_owned()));
-            return;
+        } else if self.state.editing.is_unsaved() {
+            self.leaving = Some(Leaving::Open(path));
+        } else {
+            self.read(context, path);
         }
+    }
+
+    fn read(&mut self, context: &Context, path: PathBuf) {
         let (opener, opened) = (Arc::clone(&self.opener), path.clone());
         self.opening = Some((path, Pending::start(move || opener(&opened), waker(context))));
     }
@@ -176,6 +196,11 @@ impl Viewer {
             Purpose::SaveScreenshot => {
                 self.state.screenshot.file = file.display().to_string();
                 self.state.save_screenshot(&file);
+            }
+            // the dialog has asked already
+            Purpose::SaveScene => {
+                self.state.editing.file = file.display().to_string();
+                self.state.save_edited(true);
             }
             Purpose::SavePath => {
                 self.state.path.file = file.display().to_string();
@@ -196,9 +221,9 @@ impl Viewer {
             Views::Later(read) => (None, Some(read)),
         };
         let before = std::mem::replace(&mut self.state.views, views);
-        let shown = match opened.levels {
-            Some(levels) => self.state.show_levels(context, name, &opened.scene, levels),
-            None => self.state.show_scene(name, &opened.scene, true),
+        let (shown, is_whole) = match opened.levels {
+            Some(levels) => (self.state.show_levels(context, name, &opened.scene, levels), false),
+            None => (self.state.show_scene(name, &opened.scene, &opened.drawn, true), true),
         };
         if !shown {
             self.state.views = before;
@@ -206,6 +231,7 @@ impl Viewer {
         }
         self.state.comparing.forget();
         self.state.measuring.points.clear();
+        self.state.editing = Editing::new(is_whole.then(|| EditedScene::new(opened.scene)));
         self.state.path = PathEditor::default();
         self.state.pending_views = later.map(|read| Pending::start(read, waker(context)));
     }
@@ -254,6 +280,7 @@ impl Viewer {
             Command::NextView => self.state.step_view(1),
             Command::Compare => self.state.comparing.kind = self.state.comparing.kind.next(),
             Command::Measure => self.state.measuring.active = !self.state.measuring.active,
+            Command::Edit(edit) => self.state.edit(edit),
             Command::Screenshot => self.state.save_screenshot(&PathBuf::from(self.state.screenshot.file.clone())),
             Command::AddToPath => self.state.add_to_path(),
             Command::PlayPath => self.state.path.play_or_stop(),
@@ -261,6 +288,7 @@ impl Viewer {
             Command::Escape => {
                 self.state.help_open = false;
                 self.state.measuring = Measuring::default();
+                self.state.editing.lay_down();
                 self.state.path.stop();
             }
         }
@@ -269,38 +297,44 @@ impl Viewer {
     fn close_if_asked(&mut self, context: &Context) {
         let asked = context.input(|input| input.viewport().close_requested());
         let trains = self.state.live.as_ref().is_some_and(|live| live.end().is_none());
-        if asked && trains && !self.may_close {
+        let unsaved = self.state.editing.is_unsaved();
+        if asked && (trains || unsaved) && !self.may_close {
             context.send_viewport_cmd(ViewportCommand::CancelClose);
-            self.closing = true;
+            self.closing = trains;
+            self.leaving = unsaved.then_some(Leaving::Close);
+        }
+    }
+
+    fn close(&mut self, context: &Context) {
+        self.may_close = true;
+        context.send_viewport_cmd(ViewportCommand::Close);
+    }
+
+    fn ask_about_edits(&mut self, context: &Context) {
+        if self.leaving.is_none() {
+            return;
+        }
+        let text = "What was deleted is not saved: the scene file stays as it is.";
+        let answer = question(context, "Leave the edits?", text, &["Leave them", "Back"]);
+        match answer.and_then(|answer| Some((answer, self.leaving.take()?))) {
+            Some((0, Leaving::Close)) => self.close(context),
+            Some((0, Leaving::Open(path))) => self.read(context, path),
+            _ => {}
         }
     }
 
     fn ask_about_training(&mut self, context: &Context) {
         let Some(live) = self.state.live.clone() else { return };
-        let modal = Modal::new(Id::unique("closing")).show(context, |ui| {
-            ui.set_width(360.0);
-            ui.heading("The training is not over");
-            ui.label("What is to become of it? Stopped, it saves its state first, and `--resume` goes on.");
-            ui.add_space(8.0);
-            ui.horizontal_wrapped(|ui| {
-                let stops = ui.button("Stop training").clicked();
-                let leaves = ui.button("Keep training without window").clicked();
-                let stays = ui.button("Back").clicked();
-                if stops {
-                    live.stop();
-                }
-                (stops || leaves, stays)
-            })
-            .inner
-        });
-        let (closes, stays) = modal.inner;
-        if closes {
-            self.may_close = true;
-            context.send_viewport_cmd(ViewportCommand::Close);
+        let text = "What is to become of it? Stopped, it saves its state first, and `--resume` goes on.";
+        let answers = ["Stop training", "Keep training without window", "Back"];
+        let Some(answer) = question(context, "The training is not over", text, &answers) else { return };
+        if answer == 0 {
+            live.stop();
         }
-        if closes || stays || modal.should_close() {
-            self.closing = false;
+        if answer < 2 {
+            self.close(context);
         }
+        self.closing = false;
     }
 }
 

@@ -103,6 +103,12 @@ impl Canvas {
         self.renderer.depth_at(x_px, y_px)
     }
 
+    /// Depths of what was drawn last: see [`Renderer::median_depths`].
+    pub fn depths(&self) -> Option<Vec<f32>> {
+        self.shown.as_ref()?;
+        self.renderer.median_depths()
+    }
+
     /// The view of `camera`, as bytes. Waits for the GPU.
     pub fn picture(&mut self, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image, RenderError> {
         // the renderer remembers one frame, and this becomes it

@@ -15,6 +15,7 @@ pub enum Purpose {
     SaveScreenshot,
     SavePath,
     LoadPath,
+    SaveScene,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -44,6 +45,9 @@ impl Dialogs {
             }
             Purpose::OpenRun => Box::pin(dialog.pick_folder()),
             Purpose::LoadPath => Box::pin(dialog.add_filter("camera paths", &["json"]).pick_file()),
+            Purpose::SaveScene => {
+                Box::pin(dialog.add_filter("scenes", &["safetensors"]).set_file_name(file_name).save_file())
+            }
             Purpose::SavePath | Purpose::SaveScreenshot => Box::pin(dialog.set_file_name(file_name).save_file()),
         };
         let wait = move || {

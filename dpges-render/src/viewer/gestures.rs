@@ -9,18 +9,20 @@ use crate::navigation::{Drag, Input, Keys, Mode, Motion};
 const POINTS_PER_NOTCH: f64 = 50.0;
 const NOTCHES_PER_PAGE: f64 = 5.0;
 
-/// Gestures on the picture of `response`. Keys count only if `takes_keys`.
-pub fn gestures(ui: &Ui, response: &Response, mode: Mode, takes_keys: bool) -> Input {
+/// Gestures on the picture of `response`. Keys count only if `takes_keys`. A `tool` has the first button: the second does what
+/// that does otherwise.
+pub fn gestures(ui: &Ui, response: &Response, mode: Mode, takes_keys: bool, tool: bool) -> Input {
     let height = f64::from(response.rect.height()).max(1.0);
     let mut input = Input::default();
     let dragged = [PointerButton::Primary, PointerButton::Secondary, PointerButton::Middle]
         .into_iter()
-        .find(|&button| response.dragged_by(button));
+        .find(|&button| response.dragged_by(button) && !(tool && button == PointerButton::Primary));
+    let turns_by = if tool { PointerButton::Secondary } else { PointerButton::Primary };
     // not within `ui.input`, which locks what this reads
     let drag = way(response.drag_delta()) / height;
     ui.input(|state| {
         if let Some(button) = dragged {
-            let pans = button != PointerButton::Primary || state.modifiers.shift;
+            let pans = button != turns_by || state.modifiers.shift;
             let turns = if state.modifiers.command { Drag::Look } else { mode.drag() };
             input.drag = if pans { Drag::Pan } else { turns }.motion(drag);
             input.dragging = true;
@@ -97,17 +99,21 @@ mod tests {
     use crate::navigation::hands::{NOTCH, TURN, WALK};
 
     /// Shows a picture of 300 × 200 points and returns the last input and the sum of all drags.
-    fn harness(mode: Mode) -> Harness<'static, (Input, Motion)> {
+    fn harness(mode: Mode, tool: bool) -> Harness<'static, (Input, Motion)> {
         let app = move |ui: &mut Ui, seen: &mut (Input, Motion)| {
             let (_, response) = ui.allocate_exact_size(vec2(300.0, 200.0), egui::Sense::click_and_drag());
-            seen.0 = gestures(ui, &response, mode, true);
+            seen.0 = gestures(ui, &response, mode, true, tool);
             seen.1 = seen.1 + seen.0.drag + seen.0.push;
         };
         Harness::builder().with_size(vec2(320.0, 220.0)).build_ui_state(app, Default::default())
     }
 
     fn dragged(mode: Mode, button: PointerButton, modifiers: Modifiers) -> Motion {
-        let mut harness = harness(mode);
+        dragged_with(false, mode, button, modifiers)
+    }
+
+    fn dragged_with(tool: bool, mode: Mode, button: PointerButton, modifiers: Modifiers) -> Motion {
+        let mut harness = harness(mode, tool);
         harness.event(Event::ModifiersChanged(modifiers));
         let press = |pos, pressed| Event::PointerButton { pos, button, pressed, modifiers };
         let (start, end) = (egui::pos2(100.0, 100.0), egui::pos2(140.0, 90.0));
@@ -127,10 +133,13 @@ mod tests {
         near(dragged(Mode::Orbit, PointerButton::Secondary, Modifiers::NONE).pan, heights);
         near(dragged(Mode::Fly, PointerButton::Middle, Modifiers::NONE).pan, heights);
         near(dragged(Mode::Orbit, PointerButton::Primary, Modifiers::SHIFT).pan, heights);
+        assert_eq!(dragged_with(true, Mode::Orbit, PointerButton::Primary, Modifiers::NONE), Motion::NONE);
+        near(dragged_with(true, Mode::Orbit, PointerButton::Secondary, Modifiers::NONE).orbit, PI * heights);
+        near(dragged_with(true, Mode::Orbit, PointerButton::Middle, Modifiers::NONE).pan, heights);
     }
 
     fn scrolled(unit: MouseWheelUnit, source: MouseWheelSource, modifiers: Modifiers) -> Motion {
-        let mut harness = harness(Mode::Orbit);
+        let mut harness = harness(Mode::Orbit, false);
         harness.event(Event::PointerMoved(egui::pos2(100.0, 100.0)));
         harness.step();
         let (delta, phase) = (vec2(0.0, 2.0), TouchPhase::Move);
@@ -151,7 +160,7 @@ mod tests {
 
     #[test]
     fn pinching_approaches() {
-        let mut harness = harness(Mode::Orbit);
+        let mut harness = harness(Mode::Orbit, false);
         harness.event(Event::PointerMoved(egui::pos2(100.0, 100.0)));
         harness.step();
         harness.event(Event::Zoom(1.5));
@@ -161,7 +170,7 @@ mod tests {
 
     #[test]
     fn keys_walk_and_turn() {
-        let mut harness = harness(Mode::Orbit);
+        let mut harness = harness(Mode::Orbit, false);
         harness.key_down(Key::W);
         harness.key_down(Key::ArrowLeft);
         harness.step();

@@ -121,6 +121,28 @@ fn two_clicks_measure_a_distance() {
 }
 
 #[test]
+fn what_a_box_selects_is_marked_and_deleted_and_comes_back() {
+    let mut harness = window();
+    harness.key_press(Key::R);
+    harness.run_steps(2);
+    let middle = harness.ctx.content_rect().center();
+    harness.drag_at(middle - egui::vec2(20.0, 20.0));
+    harness.step();
+    harness.hover_at(middle + egui::vec2(20.0, 20.0));
+    harness.step();
+    harness.drop_at(middle + egui::vec2(20.0, 20.0));
+    harness.run_steps(2);
+    assert_eq!(pixel(&mut harness, [0.0, 0.0]), [255, 0, 255]);
+    assert!(is_grey(pixel(&mut harness, [10.0, 0.0])));
+    harness.key_press(Key::Delete);
+    harness.run_steps(2);
+    assert_eq!(pixel(&mut harness, [10.0, 0.0]), [0; 3]);
+    harness.key_press_modifiers(egui::Modifiers::COMMAND, Key::Z);
+    harness.run_steps(2);
+    assert!(is_grey(pixel(&mut harness, [10.0, 0.0])));
+}
+
+#[test]
 fn screenshots_have_the_chosen_size() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("disc.png");

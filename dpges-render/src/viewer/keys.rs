@@ -2,6 +2,7 @@
 
 use egui::{Align2, Context, Grid, InputState, Key, RichText, Window};
 
+use super::editing::{Edit, Tool};
 use crate::Display;
 
 /// The commands of keys, besides moving.
@@ -15,6 +16,7 @@ pub enum Command {
     NextView,
     Compare,
     Measure,
+    Edit(Edit),
     Screenshot,
     AddToPath,
     PlayPath,
@@ -27,7 +29,7 @@ pub enum Command {
 
 const DISPLAY_KEYS: [Key; 8] = [Key::Num1, Key::Num2, Key::Num3, Key::Num4, Key::Num5, Key::Num6, Key::Num7, Key::Num8];
 
-const KEYS: [(Key, Command); 15] = [
+const KEYS: [(Key, Command); 22] = [
     (Key::F, Command::Mode),
     (Key::Home, Command::Home),
     (Key::U, Command::LevelUp),
@@ -43,10 +45,27 @@ const KEYS: [(Key, Command); 15] = [
     (Key::F1, Command::Help),
     (Key::F11, Command::Fullscreen),
     (Key::Escape, Command::Escape),
+    (Key::R, Command::Edit(Edit::Tool(Tool::Box))),
+    (Key::B, Command::Edit(Edit::Tool(Tool::Brush))),
+    (Key::OpenBracket, Command::Edit(Edit::SmallerBrush)),
+    (Key::CloseBracket, Command::Edit(Edit::LargerBrush)),
+    (Key::I, Command::Edit(Edit::Invert)),
+    (Key::Delete, Command::Edit(Edit::Delete)),
+    (Key::Backspace, Command::Edit(Edit::Delete)),
+];
+
+/// With ctrl, and whether with shift.
+const CTRL_KEYS: [(Key, bool, Edit); 6] = [
+    (Key::A, false, Edit::SelectAll),
+    (Key::D, false, Edit::SelectNothing),
+    (Key::Z, false, Edit::Undo),
+    (Key::Z, true, Edit::Redo),
+    (Key::Y, false, Edit::Redo),
+    (Key::S, false, Edit::Save),
 ];
 
 /// Mouse and key bindings, for the help.
-const HELP: [(&str, &str); 26] = [
+const HELP: [(&str, &str); 31] = [
     ("drag", "turn about the focus (orbit) or look around (fly)"),
     ("right drag, shift + drag", "pan"),
     ("ctrl + drag", "look around"),
@@ -63,6 +82,11 @@ const HELP: [(&str, &str); 26] = [
     ("1 … 8", "image, surfels, Gaussians, transmittance, depth, normals, layers, overdraw"),
     ("C", "compare with the photograph: side by side, wipe, error, off"),
     ("M", "measure: click two points"),
+    ("R, B", "select by a box, by a brush ([ ] its size): drag; shift adds, ctrl subtracts; right drag turns"),
+    ("ctrl + A, ctrl + D, I", "select all, nothing, the others"),
+    ("delete", "delete what is selected"),
+    ("ctrl + Z, ctrl + shift + Z", "undo, redo"),
+    ("ctrl + S", "save the edited scene"),
     ("P", "screenshot"),
     ("K", "add this view to the camera path"),
     ("space", "play or stop the path"),
@@ -70,15 +94,19 @@ const HELP: [(&str, &str); 26] = [
     ("N", "show or hide the panel"),
     ("F11", "full screen"),
     ("F1", "this list"),
-    ("Esc", "close this list; end measuring and playing"),
+    ("Esc", "close this list; end measuring, selecting and playing"),
     ("drop a file", "open a scene file or the folder of a run"),
     ("click, double click on a camera", "fly there, be there"),
 ];
 
 /// The commands of the keys that were pressed.
 pub fn commands(input: &InputState) -> Vec<Command> {
-    if input.modifiers.command || input.modifiers.alt {
+    if input.modifiers.alt {
         return Vec::new();
+    }
+    if input.modifiers.command {
+        let pressed = |&(key, shift, _): &(Key, bool, Edit)| shift == input.modifiers.shift && input.key_pressed(key);
+        return CTRL_KEYS.into_iter().filter(pressed).map(|(_, _, edit)| Command::Edit(edit)).collect();
     }
     let displays = DISPLAY_KEYS.into_iter().zip(Display::ALL.map(Command::Display));
     let pressed = |&(key, _): &(Key, Command)| input.key_pressed(key);

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use dpges_core::camera::Camera;
-use dpges_core::scene::SceneData;
+use dpges_core::scene::{SceneData, SceneInfo};
 
 use super::views::{DatasetViews, Views};
 use crate::export;
@@ -16,6 +16,8 @@ const SCENE_OF_RUN: &str = "scene.safetensors";
 pub struct Opened {
     /// The scene, or its coarsest level.
     pub scene: SceneData,
+    /// How it is drawn at first: as it was trained, or in less time.
+    pub drawn: SceneInfo,
     /// The finer levels of a scene in levels of detail.
     pub levels: Option<Levels>,
     pub views: Views,
@@ -23,7 +25,7 @@ pub struct Opened {
 
 impl Opened {
     pub fn whole(scene: SceneData, views: Views) -> Self {
-        Self { scene, levels: None, views }
+        Self { drawn: scene.info.clone(), scene, levels: None, views }
     }
 
     /// Without `views`, those that the scene was exported with.
@@ -36,7 +38,8 @@ impl Opened {
             }
             views => views,
         };
-        Self { scene: levels.scene().coarse().clone(), levels: Some(levels), views }
+        let scene = levels.scene().coarse().clone();
+        Self { drawn: scene.info.clone(), scene, levels: Some(levels), views }
     }
 }
 

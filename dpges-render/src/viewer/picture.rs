@@ -36,11 +36,16 @@ impl State {
             None => rect,
         };
         self.pick(&response, place);
+        if self.measuring.active {
+            self.editing.lay_down();
+        }
+        self.editing.follow(ui, &response, place, &camera, || self.canvas.as_ref()?.depths());
         let painter = ui.painter().with_clip_rect(place);
+        self.editing.paint(&painter, place, &camera, response.hover_pos());
         let metres_per_unit = self.scene.as_ref().and_then(|shown| shown.info.metres_per_unit);
         self.measuring.paint(&painter, place, &camera, metres_per_unit);
         self.status(ui, rect, &camera);
-        if self.measuring.active && response.hovered() {
+        if (self.measuring.active || self.editing.tool.is_some()) && response.hovered() {
             ui.set_cursor_icon(egui::CursorIcon::Crosshair);
         }
     }
@@ -49,7 +54,7 @@ impl State {
     fn advance(&mut self, ui: &Ui, response: &Response) -> bool {
         let seconds = f64::from(ui.input(|input| input.stable_dt));
         let takes_keys = !ui.ctx().egui_wants_keyboard_input();
-        let input = gestures(ui, response, self.navigator.mode, takes_keys);
+        let input = gestures(ui, response, self.navigator.mode, takes_keys, self.editing.tool.is_some());
         if input.is_active() {
             self.path.stop();
             self.at_view = None;
@@ -147,7 +152,7 @@ impl State {
     /// Clicks pick points while measuring; double clicks choose the focus.
     fn pick(&mut self, response: &Response, place: Rect) {
         let measures = self.measuring.active && response.clicked();
-        let focuses = !self.measuring.active && response.double_clicked();
+        let focuses = !self.measuring.active && self.editing.tool.is_none() && response.double_clicked();
         if !measures && !focuses {
             return;
         }
@@ -178,6 +183,10 @@ impl State {
             parts.extend(views.cameras.get(view).map(|(name, _)| name.clone()));
         }
         parts.push(format!("{} × {} px", camera.width, camera.height));
+        let selected = self.editing.scene.as_ref().map_or(0, |scene| scene.marks.selected_count());
+        if selected > 0 {
+            parts.push(format!("{selected} selected"));
+        }
         parts.extend(self.frame_times.frames_per_second().map(|rate| format!("{rate:.0} frames/s")));
         let font = FontId::proportional(12.0);
         let text = ui.painter().layout_no_wrap(parts.join("  ·  "), font, Color32::from_gray(230));

@@ -10,6 +10,7 @@ use egui::Context;
 use super::canvas::Canvas;
 use super::comparison::Comparing;
 use super::dialogs::{Dialogs, Purpose};
+use super::editing::Editing;
 use super::frame_times::FrameTimes;
 use super::live::LiveScene;
 use super::measuring::Measuring;
@@ -58,6 +59,7 @@ pub struct State {
     pub last_drawn: Option<Instant>,
     pub comparing: Comparing,
     pub measuring: Measuring,
+    pub editing: Editing,
     pub path: PathEditor,
     pub screenshot: ScreenshotForm,
     pub window_px: [usize; 2],
@@ -98,6 +100,7 @@ impl State {
             last_drawn: None,
             comparing: Comparing::default(),
             measuring: Measuring::default(),
+            editing: Editing::new(None),
             path: PathEditor::default(),
             screenshot: ScreenshotForm::default(),
             window_px: [0; 2],
@@ -113,39 +116,42 @@ impl State {
 
     pub fn ask(&mut self, context: &Context, purpose: Purpose) {
         if !self.dialogs.is_open() {
-            let name = if purpose == Purpose::SavePath { &self.path.file } else { &self.screenshot.file };
+            let name = match purpose {
+                Purpose::SavePath => &self.path.file,
+                Purpose::SaveScene => &self.editing.file,
+                _ => &self.screenshot.file,
+            };
             self.dialogs.ask(purpose, name, waker(context));
         }
     }
 
-    /// Returns whether the scene could be shown. Goes to its first view if `is_new`.
-    pub fn show_scene(&mut self, name: String, scene: &SceneData, is_new: bool) -> bool {
+    /// Returns whether the scene could be shown, as `drawn` says. Goes to its first view if `is_new`.
+    pub fn show_scene(&mut self, name: String, scene: &SceneData, drawn: &SceneInfo, is_new: bool) -> bool {
         let counts = [scene.surfels.len(), scene.gaussians.len()];
         let upload = |canvas: &mut Canvas| canvas.upload(scene).map_err(|error| error.to_string());
-        self.show(name, scene, counts, upload, is_new)
+        let shown = ShownScene { name, info: drawn.clone(), counts, extent: Extent::of(scene) };
+        self.show(shown, upload, is_new)
     }
 
     /// The same for a scene in levels of detail, with `scene` as the coarsest.
     pub fn show_levels(&mut self, context: &Context, name: String, scene: &SceneData, levels: Levels) -> bool {
         let counts = levels.scene().counts();
         let stream = |canvas: &mut Canvas| canvas.stream(levels, waker(context)).map_err(|error| error.to_string());
-        self.show(name, scene, counts, stream, true)
+        let shown = ShownScene { name, info: scene.info.clone(), counts, extent: Extent::of(scene) };
+        self.show(shown, stream, true)
     }
 
     fn show(
         &mut self,
-        name: String,
-        scene: &SceneData,
-        counts: [usize; 2],
+        shown: ShownScene,
         upload: impl FnOnce(&mut Canvas) -> Result<(), String>,
         is_new: bool,
     ) -> bool {
         if let Some(Err(reason)) = self.canvas.as_mut().map(upload) {
-            self.message = Some(Message::Error(format!("{name} cannot be shown: {reason}")));
+            self.message = Some(Message::Error(format!("{} cannot be shown: {reason}", shown.name)));
             return false;
         }
         self.stream = None;
-        let shown = ShownScene { name, info: scene.info.clone(), counts, extent: Extent::of(scene) };
         let kept = (self.options.display, self.options.smallest_px);
         if is_new {
             self.options = RenderOptions::from(&shown.info);

@@ -5,13 +5,14 @@ use std::sync::Arc;
 
 use dpges_core::camera::CameraFromWorld;
 use dpges_core::scene::{Peeling, Rendering, SceneData, SceneInfo};
-use egui::Key;
+use egui::{Key, Modifiers};
 use egui_kittest::Harness;
 use egui_kittest::kittest::Queryable;
 use glam::{DVec3, dvec3};
 
 use super::app::Viewer;
 use super::comparison::Comparison;
+use super::editing::{Combine, Tool};
 use super::live::{LiveProgress, LiveScene};
 use super::loading::{Opened, Opener, open_scene};
 use super::messages::Message;
@@ -73,6 +74,15 @@ fn hold(harness: &mut Harness<'_, Viewer>, key: Key) {
 fn click(harness: &mut Harness<'_, Viewer>, label: &str) {
     harness.get_by_label(label).click();
     harness.run_steps(2);
+}
+
+/// Asks the window to close.
+fn close(harness: &mut Harness<'_, Viewer>) {
+    let viewport = harness.input_mut().viewports.entry(egui::ViewportId::ROOT).or_default();
+    viewport.events.push(egui::ViewportEvent::Close);
+    harness.step();
+    harness.input_mut().viewports.entry(egui::ViewportId::ROOT).or_default().events.clear();
+    harness.run_steps(3);
 }
 
 /// Steps until the threads have brought what they were asked for.
@@ -195,6 +205,107 @@ fn the_window_rests_unless_something_moves() {
     harness.run();
 }
 
+/// Presses a key with ctrl.
+fn ctrl(harness: &mut Harness<'_, Viewer>, key: Key) {
+    harness.key_press_modifiers(Modifiers::COMMAND, key);
+    harness.run_steps(2);
+}
+
+#[test]
+fn primitives_are_deleted_brought_back_and_saved_over_nothing_unasked() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("edited.safetensors");
+    let mut harness = with_scene();
+    harness.state_mut().state.editing.file = file.display().to_string();
+    press(&mut harness, Key::Delete);
+    harness.get_by_label_contains("20 surfels, 5 Gaussians");
+    harness.state_mut().state.editing.scene.as_mut().unwrap().marks.select([0, 1, 22], Combine::Replace);
+    press(&mut harness, Key::Delete);
+    harness.get_by_label_contains("18 surfels, 4 Gaussians");
+    ctrl(&mut harness, Key::Z);
+    harness.get_by_label_contains("20 surfels, 5 Gaussians");
+    ctrl(&mut harness, Key::Y);
+    harness.get_by_label_contains("18 surfels, 4 Gaussians");
+    ctrl(&mut harness, Key::S);
+    let saved = std::fs::read(&file).unwrap();
+    assert_eq!(SceneData::load(&file).unwrap().surfels, scene(20).surfels.select(&(2..20).collect::<Vec<_>>()));
+
+    ctrl(&mut harness, Key::Z);
+    ctrl(&mut harness, Key::S);
+    click(&mut harness, "Back");
+    assert!(std::fs::read(&file).unwrap() == saved, "it was there already");
+    ctrl(&mut harness, Key::S);
+    click(&mut harness, "Replace");
+    assert_eq!(SceneData::load(&file).unwrap(), scene(20));
+}
+
+#[test]
+fn edits_are_not_lost_unasked() {
+    let start = Start::Scene { name: "room".to_owned(), opened: Box::new(opened(20)) };
+    let mut harness = window(start, Arc::new(|_: &Path| Ok(opened(7))));
+    ctrl(&mut harness, Key::A);
+    press(&mut harness, Key::Delete);
+    let context = harness.ctx.clone();
+    harness.state_mut().open(&context, PathBuf::from("other"));
+    harness.run_steps(2);
+    click(&mut harness, "Back");
+    harness.get_by_label_contains("0 surfels, 0 Gaussians");
+    close(&mut harness);
+    click(&mut harness, "Back");
+    harness.state_mut().open(&context, PathBuf::from("other"));
+    harness.run_steps(2);
+    click(&mut harness, "Leave them");
+    wait(&mut harness, |viewer| viewer.state.scene.as_ref().is_some_and(|scene| scene.counts == [7, 5]));
+    assert!(!harness.state().state.editing.is_unsaved());
+}
+
+#[test]
+fn the_panel_edits_as_keys_do() {
+    let mut harness = with_scene();
+    for label in ["Edit", "Brush", "All", "Delete"] {
+        harness.get_by_label(label).click_accesskit();
+        harness.run_steps(8);
+    }
+    assert_eq!(harness.state().state.editing.tool, Some(Tool::Brush));
+    harness.get_by_label("0 selected; not saved");
+    harness.get_by_label_contains("0 surfels, 0 Gaussians");
+    harness.get_by_label("Undo").click_accesskit();
+    harness.run_steps(2);
+    harness.get_by_label("25 selected");
+}
+
+#[test]
+fn tools_are_taken_and_laid_down() {
+    let mut harness = with_scene();
+    for (key, tool) in [(Key::M, None), (Key::R, Some(Tool::Box)), (Key::B, Some(Tool::Brush)), (Key::B, None)] {
+        press(&mut harness, key);
+        assert_eq!(harness.state().state.editing.tool, tool, "{key:?}");
+    }
+    assert!(!harness.state().state.measuring.active);
+    press(&mut harness, Key::R);
+    press(&mut harness, Key::Escape);
+    assert_eq!(harness.state().state.editing.tool, None);
+    let live = LiveScene::new();
+    let mut harness = window(Start::Live(live.clone(), None), Arc::new(open_scene));
+    live.publish(scene(9));
+    harness.run_steps(2);
+    press(&mut harness, Key::B);
+    assert!(matches!(&harness.state().state.message, Some(Message::Note(text)) if text.contains("not edited")));
+}
+
+#[test]
+fn scenes_that_are_drawn_in_less_time_are_saved_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("edited.safetensors");
+    let mut fast = opened(20);
+    fast.drawn.layer_count = 1;
+    let mut harness = with(fast);
+    assert_eq!(harness.state().state.options.layer_count, 1);
+    harness.state_mut().state.editing.file = file.display().to_string();
+    ctrl(&mut harness, Key::S);
+    assert_eq!(SceneData::load(&file).unwrap(), scene(20));
+}
+
 #[test]
 fn keys_open_the_help_and_hide_the_panel() {
     let mut harness = with_scene();
@@ -256,13 +367,6 @@ fn a_training_is_shown_paused_and_stopped_from_the_window() {
 fn closing_the_window_asks_what_becomes_of_the_training() {
     let live = LiveScene::new();
     let mut harness = window(Start::Live(live.clone(), None), Arc::new(open_scene));
-    let close = |harness: &mut Harness<'_, Viewer>| {
-        let viewport = harness.input_mut().viewports.entry(egui::ViewportId::ROOT).or_default();
-        viewport.events.push(egui::ViewportEvent::Close);
-        harness.step();
-        harness.input_mut().viewports.entry(egui::ViewportId::ROOT).or_default().events.clear();
-        harness.run_steps(3);
-    };
     close(&mut harness);
     harness.get_by_label("The training is not over");
     click(&mut harness, "Back");

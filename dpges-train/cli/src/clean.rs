@@ -3,19 +3,17 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use dpges_train::dataset::block::Bounds;
-use dpges_train::eval::simplify::clean::{Report, Rules, clean, size};
-use dpges_train::run::folder::hold_file;
+use dpges_train::run::clean::{Known, Rules, clean};
 
-use super::compress::refuse_same_file;
-use super::data::{Scene, ViewArgs};
+use super::data::{ViewArgs, open_to_write};
 use super::device_choice::{DeviceArgs, watched};
-use super::{Result, hold_report, print_report, table};
+use super::{Result, print_report, table};
 
-/// Write a scene without what floats, what no training camera sees, what is outside of a box, and what is oversized
+/// Write a scene without what no training camera sees, and where asked to without what is outside of a box, oversized or floats
 ///
-/// The dataset, that of the run or --data, tells floaters and what nobody sees. Then the PSNR of its held-out views is printed
-/// before and after, and NAME_before.png and NAME_after.png beside the new scene show the view that changes most.
+/// The dataset, that of the run or --data, tells what nobody sees, which costs nothing, and floaters, which were trained to help.
+/// The PSNR of its held-out views is printed before and after, and NAME_before.png and NAME_after.png beside the new scene show
+/// the view that changes most.
 #[derive(Debug, Args)]
 pub struct CleanArgs {
     /// Scene file, splats (PLY, SPZ, glTF) or folder of a run
@@ -26,12 +24,8 @@ pub struct CleanArgs {
     /// Only count what would go
     #[arg(long, conflicts_with = "out")]
     dry_run: bool,
-    /// Remove all whose centres are outside, in coordinates of the scene, world units
-    #[arg(long = "box", value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
-    bounds: Option<Bounds>,
-    /// Remove all of which a scale (standard deviation) is larger, world units; `dpges info` prints percentiles
-    #[arg(long, value_name = "SIZE", allow_hyphen_values = true, value_parser = size)]
-    largest: Option<f64>,
+    #[command(flatten)]
+    rules: Rules,
     #[command(flatten)]
     views: ViewArgs,
     #[command(flatten)]
@@ -43,26 +37,18 @@ pub struct CleanArgs {
 
 pub fn run(args: &CleanArgs) -> Result<()> {
     let (out, choice) = (args.out.as_deref(), args.views.choice());
-    let _held = (out.map(hold_file).transpose()?, hold_report(args.json.as_deref())?);
-    let mut scene = Scene::load(&args.scene)?;
-    out.map_or(Ok(()), |out| refuse_same_file(out, &scene))?;
-    let rules = Rules { bounds: args.bounds, largest: args.largest };
-    let print = |report: &Report, unknown: Option<&str>| {
-        print_report(args.json.as_deref(), report, &table(&report.rows(unknown)))
+    let (mut scene, _held) = open_to_write(&args.scene, out, args.json.as_deref())?;
+    let rules = &args.rules;
+    let known = choice.dataset_at_hand(&mut scene, rules.need_dataset())?;
+    let clean = |known: Known<'_>| {
+        let report = clean(&scene.data, &scene.path, rules, known, choice.split(), out)?;
+        print_report(args.json.as_deref(), &report, &table(&report.rows()))
     };
-    let needs_dataset = choice.data.is_some() || (rules.bounds.is_none() && rules.largest.is_none());
-    match choice.dataset(&mut scene) {
+    match &known {
         Ok((source, dataset)) => {
             let device = args.device.select()?;
-            watched(device, || {
-                let known = Some((&source, &dataset, &device.open()?));
-                print(&clean(&scene.data, &scene.path, &rules, known, choice.split(), out)?, None)
-            })
+            watched(device, || clean(Ok((source, dataset, &device.open()?))))
         }
-        Err(error) if needs_dataset => Err(error.into()),
-        Err(error) => {
-            let report = clean(&scene.data, &scene.path, &rules, None, choice.split(), out)?;
-            print(&report, Some(&error.to_string()))
-        }
+        Err(error) => clean(Err(error.to_string())),
     }
 }

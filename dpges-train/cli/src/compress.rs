@@ -1,21 +1,19 @@
 //! `dpges compress`: a scene in fewer bytes.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use dpges_core::scene::atomic::write_atomically;
 use dpges_core::scene::{Quality, SceneData};
 use dpges_train::dataset::View;
 use dpges_train::eval::compress::report::{Psnr, Report};
-use dpges_train::eval::compress::{Goal, Measure, bytes, decibels};
+use dpges_train::eval::compress::{Goal, Measure, bytes, decibels, levels};
 use dpges_train::eval::evaluate;
-use dpges_train::run::folder::hold_file;
 
-use super::data::{Scene, Source, Split, ViewArgs, every_nth};
+use super::data::{Scene, Source, Split, ViewArgs, every_nth, open_to_write};
 use super::device_choice::{DeviceArgs, watched};
-use super::{Failure, Result, hold_report, print_report, table};
+use super::{Failure, Result, print_report, table};
 
 /// Most views that decide on a loss.
 const DECIDING_VIEWS: usize = 32;
@@ -52,20 +50,6 @@ pub struct CompressArgs {
     json: Option<PathBuf>,
 }
 
-fn levels() -> impl TypedValueParser<Value = Quality> {
-    let texts = [
-        "16 bits per number: nearly without loss",
-        "9 bits: for views from closer than the photographs",
-        "7 bits",
-        "5 to 6 bits: where size matters most",
-    ];
-    let values = Quality::LEVELS.iter().zip(texts).map(|((name, _), text)| PossibleValue::new(*name).help(text));
-    PossibleValuesParser::new(values).map(|chosen| {
-        let level = Quality::LEVELS.into_iter().find(|(name, _)| *name == chosen);
-        level.expect("it is one of the possible values").1
-    })
-}
-
 pub fn run(args: &CompressArgs) -> Result<()> {
     let ending = args.out.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     if ["ply", "spz", "sog", "glb", "gltf", "usda", "usdz"].contains(&&*ending) {
@@ -75,9 +59,7 @@ pub fn run(args: &CompressArgs) -> Result<()> {
         );
         return Err(Failure::Usage(message));
     }
-    let _held = (hold_file(&args.out)?, hold_report(args.json.as_deref())?);
-    let mut scene = Scene::load(&args.scene)?;
-    refuse_same_file(&args.out, &scene)?;
+    let (mut scene, _held) = open_to_write(&args.scene, Some(&args.out), args.json.as_deref())?;
     match args.measured(&mut scene) {
         Ok((source, split, views)) => {
             let device = args.device.select()?;
@@ -134,13 +116,4 @@ impl CompressArgs {
         let report = Report::new(names, data, &std::fs::read(&scene.path)?, &compressed, psnr(found))?;
         print_report(self.json.as_deref(), &report, &table(&report.rows(not_measured)))
     }
-}
-
-/// Refuses to write over `scene` itself.
-pub fn refuse_same_file(out: &Path, scene: &Scene) -> Result<()> {
-    let [a, b] = [out, &scene.path].map(|path| path.canonicalize().ok());
-    if a.is_none() || a != b {
-        return Ok(());
-    }
-    Err(Failure::Usage(format!("--out is the scene itself, {}: name another file", scene.path.display())))
 }

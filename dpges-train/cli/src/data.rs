@@ -1,13 +1,17 @@
 //! Options that say which dataset is read, how, and which of its views are used.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_train::config::{Background, Upwards, key};
 pub use dpges_train::dataset::Split;
 pub use dpges_train::dataset::source::Source;
+use dpges_train::run::folder::hold_file;
+use dpges_train::run::hold::Hold;
 pub use dpges_train::run::scene::{Reading, Scene, every_nth, in_scene};
 use dpges_train::run::view_choice::ViewChoice;
+
+use super::{Failure, Result, hold_report};
 
 /// Options that replace keys of `[data]`.
 #[derive(Debug, Args)]
@@ -67,4 +71,15 @@ impl ViewArgs {
     pub fn choice(&self) -> ViewChoice {
         ViewChoice { data: self.data.clone(), split: self.split, reading: self.options.reading() }
     }
+}
+
+/// The scene of a command that writes another, `out`, and a `report`: both are held before the work begins.
+pub fn open_to_write(path: &Path, out: Option<&Path>, report: Option<&Path>) -> Result<(Scene, [Option<Hold>; 2])> {
+    let held = [out.map(hold_file).transpose()?.flatten(), hold_report(report)?];
+    let scene = Scene::load(path)?;
+    let [a, b] = [out, Some(&*scene.path)].map(|path| path.and_then(|path| path.canonicalize().ok()));
+    if a.is_some() && a == b {
+        return Err(Failure::Usage(format!("--out is the scene itself, {}: name another file", scene.path.display())));
+    }
+    Ok((scene, held))
 }

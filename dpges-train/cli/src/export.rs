@@ -96,10 +96,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
         _ => Some(args.device.select()?),
     };
     let choice = args.views.choice();
-    let data = match choice.dataset(&mut scene) {
-        Err(error) if choice.data.is_some() => return Err(error.into()),
-        data => data.map_err(Failure::from),
-    };
+    let data = choice.dataset_at_hand(&mut scene, false)?.map_err(Failure::from);
     let coordinates = args.coordinates.of(args.format, &scene.data.info).map_err(Failure::Usage)?;
     if args.format == ExportFormat::Lod {
         return args.lod(scene.data, data.ok());

@@ -184,7 +184,7 @@ impl RenderArgs {
         let (choice, alpha) = self.choice();
         let shots = self.path.shots(self.frames.map(|frames| frames as usize), self.size, self.lens, &choice, scene)?;
         if let Some(preset) = self.preset {
-            preset.apply(&mut scene.data);
+            preset.apply(&mut scene.data.info);
         }
         if alpha {
             scene.data.environment = None;

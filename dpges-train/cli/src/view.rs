@@ -68,10 +68,11 @@ impl WindowArgs {
         if let Some(levels) = levels {
             return Ok(Opened::levels(levels, views));
         }
+        let mut opened = Opened::whole(scene.data, views);
         if let Some(preset) = self.preset {
-            preset.apply(&mut scene.data);
+            preset.apply(&mut opened.drawn);
         }
-        Ok(Opened::whole(scene.data, views))
+        Ok(opened)
     }
 }
 

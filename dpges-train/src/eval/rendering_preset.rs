@@ -1,7 +1,7 @@
 //! Named settings of rendering: what is left out of a trained scene so that it is drawn faster.
 
 use clap::ValueEnum;
-use dpges_core::scene::SceneData;
+use dpges_core::scene::SceneInfo;
 
 /// Limits on how a scene is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -20,10 +20,10 @@ impl RenderingPreset {
         self != Self::Quality
     }
 
-    /// Leaves out of `scene` what exceeds the preset.
-    pub fn apply(self, scene: &mut SceneData) {
+    /// Leaves out of how a scene is drawn what exceeds the preset.
+    pub fn apply(self, info: &mut SceneInfo) {
         if self == Self::Fast {
-            scene.info.layer_count = scene.info.layer_count.min(2);
+            info.layer_count = info.layer_count.min(2);
         }
     }
 }

@@ -29,6 +29,8 @@
 
 pub mod checkpoint;
 pub mod child;
+pub mod clean;
+pub mod consolidate;
 pub mod description;
 mod error;
 #[cfg(test)]

@@ -69,7 +69,18 @@ impl ViewChoice {
         self.read(scene, self.split() == Split::Validation)
     }
 
-    /// The same; validation views are among the training views unless `apart`.
+    /// The same; the inner error says why there is none, where it is neither named nor `needed`.
+    ///
+    /// # Errors
+    /// Those of [`Scene::read`] where it is.
+    pub fn dataset_at_hand(&self, scene: &mut Scene, needed: bool) -> Result<Result<(Source, Dataset)>> {
+        match self.dataset(scene) {
+            Err(error) if needed || self.data.is_some() => Err(error),
+            data => Ok(data),
+        }
+    }
+
+    /// As [`dataset`](Self::dataset); validation views are among the training views unless `apart`.
     fn read(&self, scene: &mut Scene, apart: bool) -> Result<(Source, Dataset)> {
         scene.read(self.data.as_deref(), &self.reading, apart)
     }

@@ -2,6 +2,7 @@
 
 mod cameras;
 mod comparison;
+pub mod editing;
 mod measuring;
 mod navigation;
 mod path;
@@ -17,13 +18,14 @@ use super::state::State;
 type Section = fn(&mut State, &mut Ui);
 
 /// Titles, whether they are open at first, and what they show.
-const SECTIONS: [(&str, bool, Section); 8] = [
+const SECTIONS: [(&str, bool, Section); 9] = [
     ("Picture", true, scene::show),
     ("View", true, navigation::show),
     ("Cameras", true, cameras::show),
     ("Comparison", true, comparison::show),
     ("Speed", false, speed::show),
     ("Measure", false, measuring::show),
+    ("Edit", false, editing::show),
     ("Camera path", false, path::show),
     ("Screenshot", false, screenshot::show),
 ];

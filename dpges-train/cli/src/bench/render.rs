@@ -11,11 +11,10 @@ use dpges_render::path::Size;
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::frame_rates::{FrameRates, Row};
 use dpges_train::eval::rendered::Renderer;
-use dpges_train::run::folder::write_json;
 
 use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_choice::watched;
-use super::super::{Result, device_choice, hold_report, print};
+use super::super::{Result, device_choice, hold_report, print_report};
 
 /// Measure frames per second of a scene over the cameras of a dataset
 #[derive(Debug, Args)]
@@ -46,7 +45,7 @@ pub struct BenchRenderArgs {
     /// sss and sortfree
     #[arg(long, value_name = "NAME")]
     training: Option<DeviceRequest>,
-    /// Write the figures as JSON
+    /// Write the result to this file; `-` is standard output
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
@@ -82,8 +81,5 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
             Ok(())
         })?;
     }
-    if let Some(file) = &args.json {
-        write_json(file, &report)?;
-    }
-    print(&report.table())
+    print_report(args.json.as_deref(), &report, &report.table())
 }

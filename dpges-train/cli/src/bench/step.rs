@@ -13,13 +13,12 @@ use dpges_train::config::Config;
 use dpges_train::dataset::View;
 use dpges_train::dataset::source::{BUILTIN, Source};
 use dpges_train::run::Trainer;
-use dpges_train::run::folder::write_json;
 use dpges_train::run::step_cost::{Rounds, StepCost, StepStage, Steps, measure};
 use serde::Serialize;
 
 use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_choice::{DeviceArgs, watched};
-use super::super::{Failure, Result, hold_report, print, table};
+use super::super::{Failure, Result, hold_report, print_report, table};
 
 /// Name of the synthetic scene of the benchmarks.
 const REALISTIC: &str = "realistic";
@@ -59,7 +58,7 @@ pub struct BenchStepArgs {
     cameras: u32,
     #[command(flatten)]
     device: DeviceArgs,
-    /// Write the figures as JSON
+    /// Write the result to this file; `-` is standard output
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
@@ -89,12 +88,9 @@ pub fn run(args: &BenchStepArgs) -> Result<()> {
         let cost = measure(&mut steps, rounds)?;
         let (scene, adapter) = (args.scene.display().to_string(), device.describe()?);
         let report = Report { scene, device: device.to_string(), adapter, emulated: device.is_software(), cost };
-        if let Some(file) = &args.json {
-            write_json(file, &report)?;
-        }
         let note = if report.emulated { ", which emulates a GPU: its times are not those of one" } else { "" };
         let rows = [vec![("device", format!("{}{note}", report.adapter))], report.cost.rows()].concat();
-        print(&table(&rows))
+        print_report(args.json.as_deref(), &report, &table(&rows))
     })
 }
 

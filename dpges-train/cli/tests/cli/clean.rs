@@ -46,7 +46,10 @@ fn waste_is_removed_and_its_price_is_printed() {
     let at = &folder();
     trained(at, "run");
     let counted = ok(at, &words("clean run --dry-run --box -1,-1,-1,1,1,1 --json counted.json --device cpu"));
-    assert_contains(&counted, &["outside", "floaters", "unseen", "left"]);
+    assert_contains(&counted, &["outside", "unseen", "left"]);
+    assert!(!counted.contains("floaters"), "they are asked for: {counted}");
+    let message = fails(at, 1, &words("clean run --dry-run --floaters --device cpu"));
+    assert_contains(&message, &["which view saw which point"]);
     assert_eq!(std::fs::read_dir(at).unwrap().filter(|entry| is_new(entry.as_ref().unwrap())).count(), 0);
     let table = ok(at, &words("clean run --box -1,-1,-1,1,1,1 --out clean.safetensors --json clean.json --device cpu"));
     assert_contains(&table, &["6 views, split `test`", "clean_before.png", "clean_after.png"]);
@@ -62,11 +65,14 @@ fn waste_is_removed_and_its_price_is_printed() {
 
     std::fs::copy(at.join("run/scene.safetensors"), at.join("alone.safetensors")).unwrap();
     let table = ok(at, &words("clean alone.safetensors --largest 100 --out same.safetensors"));
-    assert_contains(&table, &["oversized", "0 surfels, 0 Gaussians", "not looked for", "--data"]);
+    assert_contains(&table, &["oversized", "0 surfels, 0 Gaussians", "unseen", "not looked for", "--data"]);
     assert!(is_equal(at.join("alone.safetensors"), at.join("same.safetensors")));
     for (args, part) in [
         ("", "--out"),
         ("--out no", "--data"),
+        ("--out no --largest 1 --floaters", "--data"),
+        ("--out no --largest 1 --consolidate 50%", "--data"),
+        ("--out no --consolidate 0%", "such as 50%"),
         ("--out no --box 0,0,0,1,1", "no box"),
         ("--out no --largest 0", "no size"),
         ("--out alone.safetensors --largest 1", "--out is the scene itself"),

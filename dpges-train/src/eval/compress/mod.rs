@@ -5,6 +5,7 @@ pub mod report;
 
 use std::path::{Path, PathBuf};
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use dpges_core::scene::{Quality, SceneData};
 
 use crate::config::Budget;
@@ -63,6 +64,21 @@ pub enum Goal {
     Bytes(usize),
     /// The smallest file that loses at most so many dB.
     Loss(f64),
+}
+
+/// The levels of quality, by name.
+pub fn levels() -> impl TypedValueParser<Value = Quality> {
+    let texts = [
+        "16 bits per number: nearly without loss",
+        "9 bits: for views from closer than the photographs",
+        "7 bits",
+        "5 to 6 bits: where size matters most",
+    ];
+    let values = Quality::LEVELS.iter().zip(texts).map(|((name, _), text)| PossibleValue::new(*name).help(text));
+    PossibleValuesParser::new(values).map(|chosen| {
+        let level = Quality::LEVELS.into_iter().find(|(name, _)| *name == chosen);
+        level.expect("it is one of the possible values").1
+    })
 }
 
 /// The bytes of a size such as `10MB`.

@@ -1,7 +1,5 @@
-//! Scenes made smaller without training: what a primitive contributes to pictures, what of its colour can go, and which
-//! primitives are waste.
+//! Scenes made smaller without training: what a primitive contributes to pictures, and what of its colour can go.
 
-pub mod clean;
 mod contribution;
 mod detail;
 

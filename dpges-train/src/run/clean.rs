@@ -3,11 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
+use clap::Args;
 use dpges_core::camera::Camera;
-use dpges_core::scene::SceneData;
+use dpges_core::scene::{Rendering, SceneData};
 use serde::Serialize;
 
-use super::Contributions;
+use super::TrainError;
+use super::consolidate::{consolidate, share};
 use crate::dataset::block::Bounds;
 use crate::dataset::source::Source;
 use crate::dataset::{Dataset, Split, View};
@@ -15,9 +17,12 @@ use crate::eval::compress::report::Psnr;
 use crate::eval::floaters::Votes;
 use crate::eval::pictures::save_png;
 use crate::eval::rendered::{Renderer, to_picture};
+use crate::eval::simplify::Contributions;
 use crate::eval::{Evaluation, evaluate};
 
-const FLOATERS: &str = "floaters";
+const UNSEEN: &str = "unseen";
+/// Steps by which fewer primitives learn to look like all.
+const CONSOLIDATION_STEPS: usize = 400;
 /// Weights over the pixels of a view which together are less change none by a hundredth of one of 256 levels: thousands of such
 /// primitives together do not show, either.
 const UNSEEN_PX: f64 = 0.01 / 255.0;
@@ -27,19 +32,44 @@ const UNSEEN_PX: f64 = 0.01 / 255.0;
 pub enum CleanError {
     #[error("nothing would be left of the scene: is the box in its coordinates, and the size in its units?")]
     Nothing,
+    #[error("--floaters: the dataset does not say which view saw which point, and so nobody knows what floats")]
+    NoTracks,
+    #[error("--consolidate trains surfels with order-free sums of Gaussians alone, and this scene is rendered as {0}")]
+    NotPeeled(Rendering),
+    #[error("--consolidate needs training views, and the dataset has none")]
+    NoViews,
+    #[error("consolidation: {0}")]
+    Fit(#[from] TrainError),
     #[error(transparent)]
     Core(#[from] dpges_core::Error),
 }
 
 type Result<T, E = dpges_core::Error> = std::result::Result<T, E>;
 
-/// Rules besides those of floaters and of primitives that no camera sees.
-#[derive(Clone, Copy, Debug)]
+/// Rules besides that of primitives that no camera sees.
+#[derive(Args, Clone, Copy, Debug)]
 pub struct Rules {
-    /// Centres stay within, in coordinates of the scene.
+    /// Remove all whose centres are outside, in coordinates of the scene, world units
+    #[arg(long = "box", value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
     pub bounds: Option<Bounds>,
-    /// The largest scale (standard deviation) that stays, world units.
+    /// Remove all of which a scale (standard deviation) is larger, world units; `dpges info` prints percentiles
+    #[arg(long, value_name = "SIZE", allow_hyphen_values = true, value_parser = size)]
     pub largest: Option<f64>,
+    /// Remove what floats, by a dataset whose points say which view saw them. It was trained to help: views like the photographs
+    /// lose, by about 1 dB where it was measured
+    #[arg(long)]
+    pub floaters: bool,
+    /// Then keep this share of the primitives, as in 50%, those that contribute most to the training views, and train them for
+    /// 400 steps to look there like all of them
+    #[arg(long, value_name = "N%", allow_hyphen_values = true, value_parser = share)]
+    pub consolidate: Option<f64>,
+}
+
+impl Rules {
+    /// Whether nothing is left to do without a dataset, or not all that is asked for.
+    pub fn need_dataset(&self) -> bool {
+        self.floaters || self.consolidate.is_some() || (self.bounds.is_none() && self.largest.is_none())
+    }
 }
 
 /// Primitives that a rule removed, of those that the rules before it left.
@@ -58,13 +88,14 @@ pub struct Cleaned {
 }
 
 impl Cleaned {
-    /// `scene` by `rules`, and where its `dataset`, in the coordinates of the scene, and a device are known also without floaters
-    /// and what adds next to nothing to all pixels of each training view. This comes last, since floaters
-    /// hide what is behind them. A dataset that does not say which view saw what knows no floaters.
+    /// `scene` by `rules` except consolidation, and where its `dataset`, in the coordinates of the scene, and a device are known
+    /// also without what adds next to nothing to all pixels of each training view. This comes last, since floaters hide what is
+    /// behind them.
     ///
     /// # Errors
-    /// [`dpges_core::Error`] if the scene cannot be rendered.
-    pub fn new(scene: SceneData, rules: &Rules, known: Option<(&Dataset, &Device)>) -> Result<Self> {
+    /// [`CleanError::NoTracks`] if floaters are to go and the dataset does not say which view saw what; [`dpges_core::Error`] if
+    /// the scene cannot be rendered.
+    pub fn new(scene: SceneData, rules: &Rules, known: Option<(&Dataset, &Device)>) -> Result<Self, CleanError> {
         let mut cleaned = Self { scene, removed: Vec::new() };
         if let Some(bounds) = rules.bounds {
             let scene = &cleaned.scene;
@@ -78,26 +109,31 @@ impl Cleaned {
             cleaned.keep("oversized", [small(&scene.surfels.log_scales, 2), small(&scene.gaussians.log_scales, 3)]);
         }
         let Some((dataset, device)) = known else { return Ok(cleaned) };
-        if let Some(votes) = Renderer::new(&cleaned.scene, device).visibility(dataset)? {
+        if rules.floaters {
+            let votes = Renderer::new(&cleaned.scene, device).visibility(dataset)?.ok_or(CleanError::NoTracks)?;
             let stay = |votes: &[Votes]| kept(votes, 1, |votes| !votes[0].floats());
-            cleaned.keep(FLOATERS, [stay(&votes.surfels), stay(&votes.gaussians)]);
+            cleaned.keep("floaters", [stay(&votes.surfels), stay(&votes.gaussians)]);
         }
         if !dataset.train.is_empty() {
             let cameras: Vec<Camera> = dataset.train.iter().map(|view| view.camera).collect();
             let seen = Contributions::largest(&cleaned.scene, &cameras, device)?;
             let counts = |weights: &[f64]| kept(weights, 1, |weight| weight[0] >= UNSEEN_PX);
-            cleaned.keep("unseen", [counts(&seen.surfels), counts(&seen.gaussians)]);
+            cleaned.keep(UNSEEN, [counts(&seen.surfels), counts(&seen.gaussians)]);
         }
         Ok(cleaned)
     }
 
     fn keep(&mut self, rule: &'static str, [surfels, gaussians]: [Vec<usize>; 2]) {
-        let scene = &mut self.scene;
-        let removed = [scene.surfels.len() - surfels.len(), scene.gaussians.len() - gaussians.len()];
-        self.removed.push(Removed { rule, surfels: removed[0], gaussians: removed[1] });
-        if removed != [0; 2] {
-            (scene.surfels, scene.gaussians) = (scene.surfels.select(&surfels), scene.gaussians.select(&gaussians));
-        }
+        let SceneData { info, surfels: of_surfels, gaussians: of_gaussians, environment } = &self.scene;
+        let (surfels, gaussians) = (of_surfels.select(&surfels), of_gaussians.select(&gaussians));
+        self.take(rule, SceneData { info: info.clone(), surfels, gaussians, environment: environment.clone() });
+    }
+
+    fn take(&mut self, rule: &'static str, left: SceneData) {
+        let before = std::mem::replace(&mut self.scene, left);
+        let surfels = before.surfels.len() - self.scene.surfels.len();
+        let gaussians = before.gaussians.len() - self.scene.gaussians.len();
+        self.removed.push(Removed { rule, surfels, gaussians });
     }
 }
 
@@ -124,7 +160,13 @@ pub struct Report {
     pub psnr: Option<Psnr>,
     /// Of the view that changes most, before and after; likewise.
     pub pictures: Vec<PathBuf>,
+    /// Why the dataset is not known.
+    #[serde(skip)]
+    pub unknown: Option<String>,
 }
+
+/// The dataset, its source and a device, or why there is none.
+pub type Known<'a> = Result<(&'a Source, &'a Dataset, &'a Device), String>;
 
 /// Cleans `scene`, which comes from the file `path`, by `rules` and its dataset, and writes it to `out` if that is named, with
 /// pictures beside it. `known` has views of the `split` that measures the loss.
@@ -135,19 +177,30 @@ pub fn clean(
     scene: &SceneData,
     path: &Path,
     rules: &Rules,
-    known: Option<(&Source, &Dataset, &Device)>,
+    known: Known,
     split: Split,
     out: Option<&Path>,
 ) -> Result<Report, CleanError> {
-    let Cleaned { scene: after, removed } =
-        Cleaned::new(scene.clone(), rules, known.map(|(_, dataset, device)| (dataset, device)))?;
+    let at_hand = known.as_ref().ok().map(|(_, dataset, device)| (*dataset, *device));
+    let mut cleaned = Cleaned::new(scene.clone(), rules, at_hand)?;
+    if let (Some(share), Some((dataset, device))) = (rules.consolidate, at_hand) {
+        let cameras: Vec<Camera> = dataset.train.iter().map(|view| view.camera).collect();
+        match scene.info.rendering {
+            Rendering::Peeled if cameras.is_empty() => return Err(CleanError::NoViews),
+            Rendering::Peeled => {}
+            other => return Err(CleanError::NotPeeled(other)),
+        }
+        let steps = if out.is_some() { CONSOLIDATION_STEPS } else { 0 };
+        cleaned.take("consolidated", consolidate(&cleaned.scene, share, &cameras, steps, device)?);
+    }
+    let Cleaned { scene: after, removed } = cleaned;
     let (surfels, gaussians) = (after.surfels.len(), after.gaussians.len());
     let (mut psnr, mut pictures) = (None, Vec::new());
     if let Some(out) = out {
         if surfels + gaussians == 0 {
             return Err(CleanError::Nothing);
         }
-        let measured = known.filter(|(_, dataset, _)| !split.of(dataset).is_empty());
+        let measured = known.as_ref().ok().filter(|(_, dataset, _)| !split.of(dataset).is_empty());
         if let Some((source, dataset, device)) = measured {
             let views = split.of(dataset);
             let ([psnr_before, psnr_after], files) = compare([scene, &after], views, device, out)?;
@@ -167,18 +220,19 @@ pub fn clean(
         removed,
         psnr,
         pictures,
+        unknown: known.err(),
     })
 }
 
 impl Report {
-    /// For people; `unknown` says why the dataset is not known, if it is not.
-    pub fn rows(&self, unknown: Option<&str>) -> Vec<(&'static str, String)> {
+    /// For people.
+    pub fn rows(&self) -> Vec<(&'static str, String)> {
         let mut rows = vec![("scene", self.scene.display().to_string())];
         let text = |surfels: usize, gaussians: usize| format!("{surfels} surfels, {gaussians} Gaussians");
         rows.extend(self.removed.iter().map(|removed| (removed.rule, text(removed.surfels, removed.gaussians))));
-        if !self.removed.iter().any(|removed| removed.rule == FLOATERS) {
-            let why = unknown.unwrap_or("the dataset does not say which view saw which point");
-            rows.push((FLOATERS, format!("not looked for: {why}")));
+        if !self.removed.iter().any(|removed| removed.rule == UNSEEN) {
+            let why = self.unknown.as_deref().unwrap_or("the dataset has no training views");
+            rows.push((UNSEEN, format!("not looked for: {why}")));
         }
         let before = text(self.surfels_before, self.gaussians_before);
         rows.push(("left", format!("{} of {before}", text(self.surfels, self.gaussians))));
@@ -195,7 +249,7 @@ impl Report {
 ///
 /// # Errors
 /// A sentence.
-pub fn size(text: &str) -> Result<f64, String> {
+fn size(text: &str) -> Result<f64, String> {
     let size = text.parse::<f64>().ok().filter(|size| size.is_finite() && *size > 0.0);
     size.ok_or_else(|| "this is no size: write a positive number of world units".to_owned())
 }
@@ -230,6 +284,7 @@ mod tests {
     use crate::run::fixtures::{device, options};
 
     const MODEL: ColourModel = ColourModel::SphericalBeta { lobes: 0 };
+    const UNSEEN_ALONE: Rules = Rules { bounds: None, largest: None, floaters: false, consolidate: None };
 
     /// Opaque ones of this size at these places, Gaussians of a third of it behind or beside.
     fn scene(surfels: &[([f32; 3], f32)], gaussians: &[([f32; 3], f32)]) -> SceneData {
@@ -266,13 +321,14 @@ mod tests {
     fn a_box_and_a_size_need_no_dataset() {
         let all = [([0.0, 0.0, 0.0], 0.1), ([2.0, 0.0, 0.0], 0.1), ([0.5, 0.5, 0.5], 3.0)];
         let bounds = Some("-1,-1,-1,1,1,1".parse().unwrap());
-        let cleaned = Cleaned::new(scene(&all, &all[1..]), &Rules { bounds, largest: Some(1.0) }, None).unwrap();
+        let cleaned =
+            Cleaned::new(scene(&all, &all[1..]), &Rules { bounds, largest: Some(1.0), ..UNSEEN_ALONE }, None).unwrap();
         assert_eq!(cleaned.removed, [removed("outside", 1, 1), removed("oversized", 1, 1)]);
         assert_eq!(cleaned.scene, scene(&all[..1], &[]), "the rest is as it was, and so is the scale");
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");
-        let tiny = Rules { bounds, largest: Some(0.01) };
-        let nothing = clean(&scene(&[], &all), "a".as_ref(), &tiny, None, Split::Test, Some(&out));
+        let tiny = Rules { bounds, largest: Some(0.01), ..UNSEEN_ALONE };
+        let nothing = clean(&scene(&[], &all), "a".as_ref(), &tiny, Err("none".to_owned()), Split::Test, Some(&out));
         assert!(matches!(nothing, Err(CleanError::Nothing)) && !out.exists());
         for wrong in ["1,1,1,0,2,2", "0,0,0,1,1", "0,0,0,1,1,nan", "a", ""] {
             assert!(wrong.parse::<Bounds>().unwrap_err().contains("no box"), "{wrong}");
@@ -280,8 +336,7 @@ mod tests {
         for wrong in ["0", "-1", "nan", "inf", "1m"] {
             assert!(size(wrong).unwrap_err().contains("no size"), "{wrong}");
         }
-        let rules = Rules { bounds: None, largest: None };
-        assert!(Cleaned::new(scene(&all, &all), &rules, None).unwrap().removed.is_empty());
+        assert!(Cleaned::new(scene(&all, &all), &UNSEEN_ALONE, None).unwrap().removed.is_empty());
     }
 
     #[test]
@@ -291,27 +346,45 @@ mod tests {
         // before the wall, and behind it
         let gaussians = [([0.1, 0.0, -0.3], 0.1), ([0.0, 0.0, 2.0], 0.05)];
         let (device, dataset) = (device(), dataset());
-        let rules = Rules { bounds: None, largest: None };
+        let rules = Rules { floaters: true, ..UNSEEN_ALONE };
         let cleaned = Cleaned::new(scene(&surfels, &gaussians), &rules, Some((&dataset, &device))).unwrap();
         assert_eq!(cleaned.removed, [removed("floaters", 1, 0), removed("unseen", 1, 1)]);
         assert_eq!(cleaned.scene, scene(&surfels[..1], &gaussians[..1]));
 
+        let cleaned = Cleaned::new(scene(&surfels, &gaussians), &UNSEEN_ALONE, Some((&dataset, &device))).unwrap();
+        assert_eq!(cleaned.removed, [removed("unseen", 2, 2)], "floaters stay where nobody asks for them");
+        assert_eq!(cleaned.scene.surfels.positions, [0.0, 0.0, -2.0], "it hides all that is behind it");
+
         let mut unknown = dataset.clone();
         unknown.points = PointCloud::default();
-        let cleaned = Cleaned::new(scene(&surfels, &gaussians), &rules, Some((&unknown, &device))).unwrap();
-        assert_eq!(cleaned.removed[0].rule, "unseen", "without tracks nothing floats");
-        assert_eq!(cleaned.scene.surfels.positions, [0.0, 0.0, -2.0], "it hides all that is behind it");
+        let refused = Cleaned::new(scene(&surfels, &gaussians), &rules, Some((&unknown, &device)));
+        assert!(matches!(refused, Err(CleanError::NoTracks)), "without tracks nothing floats");
     }
 
     #[test]
     fn blended_scenes_are_cleaned_too() {
         let mut blended = scene(&[], &[([0.0; 3], 0.3), ([0.0, 0.0, -9.0], 0.3)]);
         blended.info.rendering = Rendering::Ellipsoids;
-        let rules = Rules { bounds: None, largest: None };
+        let rules = Rules { floaters: true, ..UNSEEN_ALONE };
         let (device, dataset) = (device(), dataset());
         let cleaned = Cleaned::new(blended.clone(), &rules, Some((&dataset, &device))).unwrap();
         assert_eq!(cleaned.removed, [removed("floaters", 0, 0), removed("unseen", 0, 1)]);
         assert_eq!(cleaned.scene.gaussians, blended.gaussians.select(&[0]));
+    }
+
+    #[test]
+    fn a_share_is_counted_without_training() {
+        let (device, dataset, source) = (device(), dataset(), Source::Builtin);
+        let wall = scene(&[([0.0, 0.0, 0.0], 0.6), ([0.0, 0.0, -9.0], 0.6)], &[([0.1, 0.0, -0.3], 0.1)]);
+        let rules = Rules { consolidate: Some(0.5), ..UNSEEN_ALONE };
+        let of =
+            |scene: &SceneData| clean(scene, "a".as_ref(), &rules, Ok((&source, &dataset, &device)), Split::Test, None);
+        let report = of(&wall).unwrap();
+        assert_eq!(report.removed, [removed("unseen", 1, 0), removed("consolidated", 0, 1)]);
+        assert_eq!((report.surfels, report.gaussians), (1, 0));
+        let mut blended = wall;
+        (blended.info.rendering, blended.surfels) = (Rendering::Ellipsoids, blended.surfels.select(&[]));
+        assert!(matches!(of(&blended), Err(CleanError::NotPeeled(Rendering::Ellipsoids))));
     }
 
     #[test]
