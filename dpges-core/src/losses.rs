@@ -2,6 +2,7 @@
 
 pub mod depth;
 pub mod geometry;
+pub mod points;
 mod target;
 #[cfg(test)]
 mod tests;

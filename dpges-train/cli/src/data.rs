@@ -36,6 +36,11 @@ pub fn assigned<const N: usize>(options: [(&str, Option<String>); N]) -> Vec<Str
     given.collect()
 }
 
+/// A path that means the same wherever a run goes on; an empty one stays empty.
+pub fn absolute(path: &Path) -> String {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned()).display().to_string()
+}
+
 impl DataArgs {
     /// As `key=value`.
     pub fn assignments(&self) -> Vec<String> {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use dpges_core::scene::atomic::write_atomically;
-use dpges_train::config::Config;
+use dpges_train::config::{Config, key};
 use dpges_train::dataset::capture;
 use dpges_train::dataset::check::{Effort, Report, map, sheet, summary};
 use dpges_train::device::DeviceRequest;
@@ -15,7 +15,7 @@ use dpges_train::run::hold::Hold;
 use dpges_train::run::recommendation::{PRESET, Recommendation};
 use serde::Serialize;
 
-use super::data::{DataArgs, Source};
+use super::data::{DataArgs, Source, absolute, assigned};
 use super::train::options::of_dataset;
 use super::{Result, device_choice, hold_report, print, sfm, table};
 use crate::logging::LogStyle;
@@ -35,6 +35,8 @@ pub struct InspectArgs {
     /// Write a contact sheet, with what was found and what is masked marked, and a map of cameras and points to a folder
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[arg(long, value_name = "FILE", help = key("data.points").help())]
+    points: Option<PathBuf>,
     #[command(flatten)]
     options: DataArgs,
 }
@@ -49,7 +51,8 @@ struct Inspected<'a> {
 
 pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     let _held = (args.out.as_deref().map(Hold::of_folder).transpose()?, hold_report(args.json.as_deref())?);
-    let set = args.options.assignments();
+    let points = assigned([("data.points", args.points.as_deref().map(absolute))]);
+    let set = [args.options.assignments(), points].concat();
     let config = Config::resolve_data(None, &set)?;
     let options = capture::Options { invert_masks: config.invert_masks, ..capture::Options::default() };
     sfm::prepare(Some(&args.dataset), &options, style)?;
@@ -61,8 +64,7 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     let findings: String = report.findings.iter().map(|finding| format!("! {finding}\n")).collect();
     let findings = if findings.is_empty() { "Nothing is wrong with it.\n" } else { &findings };
     let notes: String = report.notes.iter().map(|note| format!("  {note}\n")).collect();
-    let note = "Numbers are medians, with the 5th and 95th percentile.";
-    print(&format!("{}\n{note}\n\n{notes}{findings}", table(&rows)))?;
+    print(&format!("{}\nNumbers are medians, with the 5th and 95th percentile.\n\n{notes}{findings}", table(&rows)))?;
     let device = device_choice::select(DeviceRequest::Auto)?;
     let run = Config::resolve_for(of_dataset(&source), Some(PRESET), None, &set)?;
     let recommendation = Recommendation::new((&source, &set), &dataset, &run, (&device.open()?, &device.to_string()))?;

@@ -12,6 +12,7 @@ use super::companions::Companions;
 use super::conventions::{DEPTHS, MASKS};
 use super::error::{DatasetError, Result};
 use super::finding::Kind;
+use super::formats::cloud;
 use super::formats::source::{DepthFile, Frame, RawPoints, Source, Split};
 use super::image::decoder::ImageDecoder;
 use super::image::masks::Masked;
@@ -37,6 +38,11 @@ pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOption
     let train_centres: Vec<DVec3> = frames_of(&source, Split::Train).map(|frame| frame.camera.centre()).collect();
     let (mean, extent) = mean_and_extent(&train_centres);
     let offset = if mean.length() > RECENTRE_BEYOND_EXTENTS * extent { mean } else { DVec3::ZERO };
+    if let Some(path) = &options.points {
+        let cameras: Vec<Camera> = frames_of(&source, Split::Train).map(|frame| frame.camera).collect();
+        source.points = cloud::read(path, &cameras, &source.points, extent, &mut source.notices)?;
+        source.used.push(path.clone());
+    }
     let lost = drop_lost(&mut source.points, mean, extent);
     if lost > 0 {
         let message = format!("{lost} of the points are not finite, or far from everything");

@@ -35,6 +35,9 @@ pub enum DatasetError {
     NotAligned { path: PathBuf, all: usize },
     #[error("{path} is not a readable PLY point cloud: {source}; export it again or remove `ply_file_path`")]
     Ply { path: PathBuf, source: serde_ply::DeserializeError },
+    /// See `formats::cloud`.
+    #[error("measured points {path} (`data.points`) {reason}")]
+    MeasuredPoints { path: PathBuf, reason: String },
     #[error(
         "{path}: camera model {model} of {camera} is not supported: {reason}; \
          convert it to another model or undistort the photographs to PINHOLE first"

@@ -16,6 +16,7 @@
 //! | dpges-core, without Burn | cameras, errors, files that are written whole |
 //! | glam, nalgebra | poses in f64; eigenvectors, lenses that are fitted |
 //! | image, serde-ply, roxmltree | photographs; points in PLY files; cameras in XML |
+//! | las with laz, e57 | clouds of surveys and scanners |
 //! | kamadak-exif | which camera and lens took a photograph, and how it is turned |
 //! | icu_normalizer | names with accents that systems write differently |
 //! | kiddo, rayon | nearest neighbours; reading pictures in parallel |
@@ -143,7 +144,7 @@ pub struct Dataset {
     pub test: Vec<View>,
     /// Excluded from training, for decisions during training, see [`Dataset::keep_for_validation`].
     pub validation: Vec<View>,
-    /// Points on surfaces. Empty if the dataset has none.
+    /// Points on surfaces: those of [`LoadOptions::points`], or else of the dataset. Empty if there are none.
     pub points: PointCloud,
     /// Position of this dataset's origin in the coordinates of the files: files = here + offset. World units. It is
     /// zero unless the mean of the camera centres is more than 100 extents from the origin of the files, where the

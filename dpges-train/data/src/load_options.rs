@@ -1,5 +1,7 @@
 //! How a dataset is read.
 
+use std::path::PathBuf;
+
 use super::DepthKind;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -25,6 +27,8 @@ pub struct LoadOptions {
     pub memory: usize,
     /// Read the depth maps of training views, which have values of this kind. `None` reads none.
     pub depth: Option<DepthKind>,
+    /// File of measured points, in the coordinates of the cameras, in place of those of the dataset.
+    pub points: Option<PathBuf>,
 }
 
 impl Default for LoadOptions {
@@ -40,6 +44,7 @@ impl Default for LoadOptions {
             invert_masks: false,
             memory: usize::MAX,
             depth: None,
+            points: None,
         }
     }
 }

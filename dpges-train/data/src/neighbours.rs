@@ -91,7 +91,8 @@ impl Sites {
         self.nearest(query, 1, None).first().map_or(f32::INFINITY, |&(_, squared)| squared)
     }
 
-    fn nearest(&self, query: [f32; 3], count: usize, itself: Option<u32>) -> Vec<Neighbour> {
+    /// The `count` nearest positions of `query`, as by [`nearest_to`], without the row `itself`.
+    pub fn nearest(&self, query: [f32; 3], count: usize, itself: Option<u32>) -> Vec<Neighbour> {
         let Some(tree) = &self.tree else { return Vec::new() };
         if count == 0 || query.iter().any(|x| !x.is_finite()) {
             return Vec::new();

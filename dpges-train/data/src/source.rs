@@ -3,10 +3,15 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use dpges_core::camera::Camera;
+use glam::Vec3;
+
 use super::block::Block;
 use super::capture::{self, Input, Unusable};
 use super::check::{Effort, Report};
-use super::{BuiltinOptions, Dataset, DatasetError, LoadOptions, builtin, format, load};
+use super::formats::cloud;
+use super::formats::source::RawPoints;
+use super::{BuiltinOptions, Dataset, DatasetError, LoadOptions, PointCloud, builtin, format, load};
 
 /// Why a dataset that a command names cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -212,6 +217,15 @@ fn from_builtin(changes: &str, options: &LoadOptions) -> Result<Dataset> {
     if let Some(near) = options.near {
         dataset.near = near;
         dataset.train.iter_mut().chain(&mut dataset.test).for_each(|view| view.camera.near = near);
+    }
+    if let Some(path) = &options.points {
+        let cameras: Vec<Camera> = dataset.train.iter().map(|view| view.camera).collect();
+        let PointCloud { positions, colours, seen_by } = std::mem::take(&mut dataset.points);
+        let positions = positions.into_iter().map(|position| Vec3::from_array(position).as_dvec3()).collect();
+        let own = RawPoints { positions, colours, seen_by };
+        let measured = cloud::read(path, &cameras, &own, dataset.extent, &mut dataset.notices)?;
+        let positions = measured.positions.iter().map(|position| position.as_vec3().to_array()).collect();
+        dataset.points = PointCloud { positions, colours: measured.colours, seen_by: measured.seen_by };
     }
     Ok(dataset)
 }

@@ -51,6 +51,9 @@ configuration! {
         /// Depth maps beside the photographs, 16-bit grey PNGs in which 0 means unknown: the `depth_file_path` of a frame,
         /// or files in the folder `depths` named as the photographs. `train.lambda_depth_maps` is their weight.
         depth: DepthMaps = DepthMaps::None;
+        /// File of measured points, PLY, LAS, LAZ or E57, that training begins with in place of those of the dataset. It has the
+        /// coordinates of the cameras. Empty for none. `train.lambda_points` holds surfels to them.
+        points: String = String::new();
     }
 
     /// Length, losses and output of a run.
@@ -106,6 +109,10 @@ configuration! {
         lambda_depth_maps: f64 = 0.2, range: 0.0..;
         /// Factor on `train.lambda_depth_maps` at the last step of the run. Its logarithm is interpolated from 1 at the first.
         depth_maps_decay: f64 = 0.01, range: POSITIVE_SHARE;
+        /// Weight of the distance between surfels and the points of the dataset next to them, up to three spacings of the points,
+        /// along the normals of the surfels and in fifths of the extent, in the joint stage. For points of a laser (`data.points`): those
+        /// of structure from motion are not as exact.
+        lambda_points: f64 = 0.0, range: 0.0..;
         /// File that says which block of a large capture the run trains: its views, its bounds and the scene around it
         /// (`dpges blocks` writes it). Empty for the whole capture.
         block: String = String::new();

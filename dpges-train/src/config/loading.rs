@@ -25,6 +25,7 @@ impl DataConfig {
                 DepthMaps::Metric => Some(DepthKind::Metric),
                 DepthMaps::Relative => Some(DepthKind::Relative),
             },
+            points: (!self.points.is_empty()).then(|| self.points.clone().into()),
         }
     }
 }
@@ -55,6 +56,8 @@ mod tests {
         assert_eq!((options.background, options.image_scale, options.near), (Some([1.0; 3]), Some(4), Some(0.5)));
         assert_eq!((options.max_resolution, options.depth), (Some(1600), None));
         let data = DataConfig { depth: DepthMaps::Relative, ..Default::default() };
-        assert_eq!(data.load_options().depth, Some(DepthKind::Relative));
+        assert_eq!((data.load_options().depth, data.load_options().points), (Some(DepthKind::Relative), None));
+        let data = DataConfig { points: "scan.e57".into(), ..Default::default() };
+        assert_eq!(data.load_options().points, Some("scan.e57".into()));
     }
 }

@@ -221,6 +221,7 @@ impl Scene {
         config.undistort |= self.pinhole;
         // only training looks at them
         config.depth = DepthMaps::None;
+        config.points.clear();
         Ok(Some((source, config)))
     }
 

@@ -22,6 +22,9 @@ const MOMENTA: &str = "momenta";
 const SURFEL_LIMIT: &str = "surfel_sampling_limit";
 const GAUSSIAN_LIMIT: &str = "sampling_limit";
 
+/// Column of the points that surfels are held to, [N × 4].
+const SURFEL_POINTS: &str = "surfel_points";
+
 /// Whether an attribute or a column has a row for each Gaussian of the joint stage.
 pub fn is_sharded(name: &str) -> bool {
     name.starts_with("gaussians.") || [MAX_CONTRIBUTIONS, ERRORS, GAUSSIAN_LIMIT].contains(&name)
@@ -65,7 +68,8 @@ impl StageCheckpoint {
             .flat_map(|limits| [(SURFEL_LIMIT, limits.surfels.column()), (GAUSSIAN_LIMIT, limits.gaussians.column())]);
         let statistics =
             [(MAX_CONTRIBUTIONS, stage.statistics.max_contributions()), (ERRORS, stage.statistics.errors())];
-        let columns = statistics.into_iter().chain(limits).chain(stage.sharding.column());
+        let measured = stage.measured.iter().map(|measured| (SURFEL_POINTS, measured.column()));
+        let columns = statistics.into_iter().chain(limits).chain(measured).chain(stage.sharding.column());
         let mut checkpoint = Self {
             info: stage.info.clone(),
             growth: stage.growth,
@@ -164,14 +168,20 @@ impl JointStage {
             *column = sharding.own_of(column, 1);
         }
         let gaussian_limit = limit(&mut columns, GAUSSIAN_LIMIT, gaussians.len(), smoothing_px, context)?;
-        Ok(Self {
+        let (count, held_to_points) = (surfels.len(), context.config.train.lambda_points > 0.0);
+        let targets = held_to_points.then(|| column(&mut columns, SURFEL_POINTS, 4 * count)).transpose()?;
+        let mut stage = Self {
             info,
             limits: surfel_limit.zip(gaussian_limit).map(|(surfels, gaussians)| SamplingLimits { surfels, gaussians }),
             statistics: Statistics::from_rows(&max_pixels, [&contributions, &errors], device),
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
             growth,
             ..Self::of_states(plan, surfels, gaussians, sharding, environment, context)
-        })
+        };
+        if let (Some(measured), Some(targets)) = (&mut stage.measured, targets) {
+            measured.restore(&targets, device);
+        }
+        Ok(stage)
     }
 }
 

@@ -67,6 +67,13 @@ impl Context {
                 view.name
             )));
         }
+        if joint && self.config.train.lambda_points > 0.0 && self.dataset.points.positions.is_empty() {
+            return Err(TrainError::Plan(
+                "train.lambda_points holds surfels to points, and the dataset has none: name a file of measured ones \
+                 (--points, data.points)"
+                    .into(),
+            ));
+        }
         if joint && !has_discs {
             let needs = |what: &str| {
                 TrainError::Plan(format!("{what} needs discs: set stages.surfels above 0, or stages.surfels_from"))

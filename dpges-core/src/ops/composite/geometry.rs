@@ -23,21 +23,27 @@ pub fn uploaded<const D: usize, const L: usize>(values: Vec<f64>, shape: [usize;
     Tensor::from_data(upload(TensorData::new(values, shape).convert_dtype(dtype)), (&like.device(), dtype))
 }
 
-/// Unit normals [N, 3] of surfels in world axes, towards the camera. The side carries no gradient.
-fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
-    let squared = surfels.quaternions.clone().powi_scalar(2).sum_dim(1);
+/// Unit normals [N, 3] of surfels with `quaternions` [N, 4] in world axes, on the side of their third axis.
+pub fn normals(quaternions: &Tensor<2>) -> Tensor<2> {
+    let count = quaternions.dims()[0];
+    let squared = quaternions.clone().powi_scalar(2).sum_dim(1);
     let zero = squared.clone().lower_equal_elem(1e-24);
-    let unit = surfels.quaternions.clone() / squared.mask_fill(zero.clone(), 1.0).sqrt();
-    let part = |i: usize| unit.clone().slice([0..surfels.len(), i..i + 1]);
+    let unit = quaternions.clone() / squared.mask_fill(zero.clone(), 1.0).sqrt();
+    let part = |i: usize| unit.clone().slice([0..count, i..i + 1]);
     let (w, x, y, z) = (part(0), part(1), part(2), part(3));
-    let column = Tensor::cat(
+    Tensor::cat(
         vec![
             (x.clone() * z.clone() + w.clone() * y.clone()) * 2.0,
             (y.clone() * z - w * x.clone()) * 2.0,
             (x.clone() * x + y.clone() * y) * -2.0 + 1.0,
         ],
         1,
-    );
+    )
+}
+
+/// [`normals`] of surfels, towards the camera. The side carries no gradient.
+fn normals_towards(surfels: &Surfels, camera: &Camera) -> Tensor<2> {
+    let column = normals(&surfels.quaternions);
     let centre = uploaded(camera.centre().to_array().to_vec(), [1, 3], &surfels.positions);
     let offset = surfels.positions.clone().detach() - centre;
     let away = (column.clone().detach() * offset).sum_dim(1).greater_elem(0.0);

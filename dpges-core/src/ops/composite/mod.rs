@@ -29,7 +29,7 @@ use crate::ops::visibility::Visibility;
 use crate::scene::tensors::check_shape;
 
 pub(crate) use geometry::uploaded;
-pub use geometry::{Geometry, geometry, layer_depth};
+pub use geometry::{Geometry, geometry, layer_depth, normals};
 
 /// Options without gradients.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -133,7 +133,7 @@ impl TrainArgs {
     fn check_target(&self) -> Result<()> {
         let Some(target) = &self.target else { return Ok(()) };
         let taken = match target.decides() {
-            Decision::Budget if self.options.names_budget() => "--budget",
+            Decision::Budget if self.options.budget.is_some() => "--budget",
             Decision::Steps if self.options.names_length() => "--steps and --steps-scale",
             _ => return Ok(()),
         };
@@ -204,7 +204,8 @@ impl TrainArgs {
             self.options.resolve_on(&folder.config())?
         };
         let before = saved.config().train.steps;
-        let steps = if self.options.names_steps() { std::mem::replace(&mut asked.train.steps, before) } else { before };
+        let steps =
+            if self.options.steps.is_some() { std::mem::replace(&mut asked.train.steps, before) } else { before };
         let differences = differences(saved.config(), &asked);
         if !differences.is_empty() {
             let list = differences.join(", ");

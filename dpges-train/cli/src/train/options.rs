@@ -7,7 +7,7 @@ use dpges_train::config::{Config, key};
 use dpges_train::dataset::capture::Options;
 
 use super::super::Result;
-use super::super::data::{DataArgs, Source, assigned};
+use super::super::data::{DataArgs, Source, absolute, assigned};
 use super::super::sfm::SfmOptions;
 
 /// Defaults for the built-in scene: about two minutes of training.
@@ -18,7 +18,7 @@ const BUILTIN_DEFAULTS: [&str; 4] =
 #[derive(Debug, Args)]
 pub struct ConfigArgs {
     #[arg(long, value_name = "N", help = key("train.steps").help())]
-    steps: Option<usize>,
+    pub steps: Option<usize>,
     /// Make the run F times as long; the schedules of its stages and the steps in `[refine]` scale with it
     #[arg(long, value_name = "F", value_parser = factor, allow_negative_numbers = true, conflicts_with = "steps")]
     steps_scale: Option<f64>,
@@ -39,10 +39,12 @@ pub struct ConfigArgs {
     init_surfels: Option<PathBuf>,
     #[arg(long, value_name = "FILE", help = key("stages.gaussians_from").help())]
     init_gaussians: Option<PathBuf>,
+    #[arg(long, value_name = "FILE", help = key("data.points").help())]
+    points: Option<PathBuf>,
     #[arg(long, value_name = "WHEN", help = key("train.stop").help())]
     stop: Option<String>,
     #[arg(long, value_name = "N|MB|auto", help = key("refine.budget").help())]
-    budget: Option<String>,
+    pub budget: Option<String>,
     #[command(flatten)]
     data: DataArgs,
     #[command(flatten)]
@@ -58,16 +60,6 @@ impl ConfigArgs {
     /// Whether `--method` is given.
     pub fn names_method(&self) -> bool {
         self.method.is_some()
-    }
-
-    /// Whether `--budget` is given.
-    pub fn names_budget(&self) -> bool {
-        self.budget.is_some()
-    }
-
-    /// Whether `--steps` is given.
-    pub fn names_steps(&self) -> bool {
-        self.steps.is_some()
     }
 
     /// Whether `--steps` or `--steps-scale` is given.
@@ -97,18 +89,15 @@ impl ConfigArgs {
     fn resolved(&self, of_dataset: &[&str], file: Option<&Path>, more: &[String]) -> Result<Config> {
         let mut set = self.set.clone();
         set.extend(self.data.assignments());
-        let path = |path: &Option<PathBuf>| {
-            let path = path.as_ref()?;
-            Some(std::path::absolute(path).unwrap_or_else(|_| path.clone()).display().to_string())
-        };
         set.extend(assigned([
             ("train.steps", self.steps.map(|steps| steps.to_string())),
             ("train.seed", self.seed.map(|seed| seed.to_string())),
             ("refine.budget", self.budget.clone()),
             ("train.method", self.method.clone()),
             ("train.stop", self.stop.clone()),
-            ("stages.surfels_from", path(&self.init_surfels)),
-            ("stages.gaussians_from", path(&self.init_gaussians)),
+            ("data.points", self.points.as_deref().map(absolute)),
+            ("stages.surfels_from", self.init_surfels.as_deref().map(absolute)),
+            ("stages.gaussians_from", self.init_gaussians.as_deref().map(absolute)),
         ]));
         set.extend(more.iter().cloned());
         Ok(Config::resolve_for(of_dataset, self.preset.as_deref(), file, &set)?)
@@ -124,10 +113,8 @@ pub fn of_dataset(source: &Source) -> &'static [&'static str] {
 }
 
 pub fn factor(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(factor) if factor.is_finite() && factor > 0.0 => Ok(factor),
-        _ => Err("expected a positive, finite number, such as 0.1 for a tenth of the steps".to_owned()),
-    }
+    let factor = text.parse().ok().filter(|factor: &f64| factor.is_finite() && *factor > 0.0);
+    factor.ok_or_else(|| "expected a positive, finite number, such as 0.1 for a tenth of the steps".to_owned())
 }
 
 #[cfg(test)]

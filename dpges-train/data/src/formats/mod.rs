@@ -1,5 +1,6 @@
 //! The layouts of datasets on disk: each is read as a [`Source`](source::Source).
 
+pub(super) mod cloud;
 pub(super) mod colmap;
 pub(super) mod guest;
 mod held_out;

@@ -18,7 +18,7 @@ use crate::error::{DatasetError, Result, unreadable};
 use crate::folder::Folder;
 
 /// Colour of points without one in the file.
-const GREY: f32 = 0.5;
+pub(super) const GREY: f32 = 0.5;
 
 /// Names that programs give to the channels of a colour; the last are coefficients of splats.
 const COLOURS: [[&str; 3]; 4] =

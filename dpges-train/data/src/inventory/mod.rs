@@ -30,7 +30,7 @@ const NOT_USED: [(Kind, &str, &str); 6] = [
         "depth maps are not used",
         "data.depth=metric or relative uses those in depths/ that are called like photographs",
     ),
-    (Kind::Unused, "points are not used", "a file points3D.ply beside the cameras is used where there are no others"),
+    (Kind::Unused, "points are not used", "--points FILE (`data.points`) uses one in place of others"),
     (Kind::Aside, "lists of views are not used", "train.txt and test.txt say which views are for what"),
 ];
 

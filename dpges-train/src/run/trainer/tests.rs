@@ -3,6 +3,7 @@
 mod blocks;
 mod depth;
 mod exposure;
+mod points;
 mod poses;
 mod ranks;
 mod refinement;

@@ -5,6 +5,7 @@ mod blended_depth;
 mod depth_surfels;
 mod dropout;
 mod limits;
+mod measured;
 mod refine;
 mod schedule;
 mod sharding;
@@ -36,6 +37,7 @@ use crate::optimizer::unit_of;
 use crate::refine::growth::Growth;
 use crate::refine::prune::drawn;
 pub use limits::SamplingLimits;
+pub use measured::MeasuredPoints;
 use schedule::{Due, Schedule};
 pub use sharding::{OWNERS, Sharding, in_order};
 use sky_masks::SkyMasks;
@@ -58,6 +60,8 @@ pub struct JointStage {
     pub limits: Option<SamplingLimits>,
     /// `None` if nothing holds the sky free.
     pub sky: Option<SkyMasks>,
+    /// `None` if nothing holds surfels to points.
+    pub measured: Option<MeasuredPoints>,
     pub statistics: Statistics,
     /// Targets of the geometry losses; `None` without them.
     pub supervisions: Option<Supervisions>,
@@ -97,6 +101,7 @@ impl JointStage {
             plan,
             info: context.scene_info(Rendering::Peeled),
             schedule: Schedule::new(&context.config, plan.steps, context.dataset.train.len()),
+            measured: MeasuredPoints::new(&surfels.columns.positions.raw(), context),
             statistics: Statistics::new(surfels.len(), gaussians.len(), &context.device),
             surfels,
             gaussians,
@@ -219,6 +224,9 @@ impl Stage for JointStage {
                 * (train.lambda_gaussian_scale / self.info.extent);
             losses.total = losses.total + opacity + scale;
         }
+        if let Some(measured) = &self.measured {
+            losses.total = losses.total + measured.loss(own_surfels)?;
+        }
         let sky = match &self.sky {
             Some(sky) => {
                 let picture = input.view.picture()?;
@@ -281,6 +289,13 @@ impl Stage for JointStage {
         let is_given = self.surroundings.as_ref().is_some_and(|around| around.scene.environment.is_some());
         let environment = if is_given { 0.0 } else { optimizer.environment * decay };
         StepRates { surfels, gaussians, environment, ..StepRates::default() }
+    }
+
+    fn after_step(&mut self, completed: usize, _: &mut Context) -> Result<(), TrainError> {
+        if let Some(measured) = self.measured.as_mut().filter(|_| MeasuredPoints::is_due(completed)) {
+            measured.measure(&self.surfels.columns.positions.raw());
+        }
+        Ok(())
     }
 
     fn checkpoint(&self) -> StageCheckpoint {

@@ -95,6 +95,9 @@ impl JointStage {
         if let Some(limits) = &mut self.limits {
             limits.surfels.measure(&self.surfels.columns.positions.raw(), context);
         }
+        if let Some(measured) = &mut self.measured {
+            measured.measure(&self.surfels.columns.positions.raw());
+        }
         self.statistics.reset_surfels(self.surfels.len());
         format!("{} of {before} surfels pruned", before - self.surfels.len())
     }

@@ -386,6 +386,7 @@ fn wrong_files_are_refused_by_name() {
             ["camera model cylindrical of sensor `A`", "`spherical` are read"],
         ),
         ("c.xml", xml.replace("<b1>", "<b2>9</b2><b1>"), ["sensor `A`", "no rectangles"]),
+        ("c.xml", xml.replace("<b1>", "<p3>0.001</p3><b1>"), ["sensor `A`", "p3 and p4 are not read"]),
         ("c.xml", xml.replace("label='a'", "label='b'"), ["images/b", "1 of 1 photographs"]),
         ("c.csv", csv.replace(",f,", ",focal,"), ["the header is without f", "Internal/External"]),
         ("c.csv", csv.replace(",0.02,", ",NaN,"), ["k2 in line 2 is `NaN`", "a number"]),
