@@ -103,8 +103,17 @@ pub(super) fn lobe_names(detail: &Attribute) -> [&'static str; 2] {
     if detail.name.starts_with("surfels") { SURFEL_LOBES } else { GAUSSIAN_LOBES }
 }
 
-pub(super) fn unreadable(error: SafeTensorError) -> String {
-    format!("not a safetensors file, or truncated: {error}")
+/// Words for a file of `bytes` that safetensors do not read.
+pub(super) fn unreadable(bytes: &[u8]) -> impl FnOnce(SafeTensorError) -> String {
+    let instead = match bytes.trim_ascii_start() {
+        [] => Some("the file is empty: write or fetch it again"),
+        text if text.starts_with(b"version https://git-lfs") => {
+            Some("a pointer of Git LFS stands in place of the file: `git lfs pull` fetches it")
+        }
+        [b'<', ..] => Some("a web page stands in place of the file: fetch it again"),
+        _ => None,
+    };
+    move |error| instead.map_or_else(|| format!("not a safetensors file, or truncated: {error}"), str::to_owned)
 }
 
 /// The first side of a tensor.

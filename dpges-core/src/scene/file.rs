@@ -154,8 +154,8 @@ fn stored_columns<'a, C: Columns<Value = Vec<f32>>>(
 }
 
 fn parse(bytes: &[u8]) -> Result<SceneData, String> {
-    let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;
-    let file = SafeTensors::deserialize(bytes).map_err(unreadable)?;
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable(bytes))?;
+    let file = SafeTensors::deserialize(bytes).map_err(unreadable(bytes))?;
     let metadata = header.metadata().clone().unwrap_or_default();
     let entry = |key: &str| metadata.get(key).map(String::as_str);
     let versions: &[&str] = match entry("format") {
@@ -183,8 +183,8 @@ fn parse(bytes: &[u8]) -> Result<SceneData, String> {
 
 /// The scene file `bytes` with another info.
 fn with_info(bytes: &[u8], info: &SceneInfo) -> Result<Vec<u8>, String> {
-    let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;
-    let file = SafeTensors::deserialize(bytes).map_err(unreadable)?;
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable(bytes))?;
+    let file = SafeTensors::deserialize(bytes).map_err(unreadable(bytes))?;
     let mut metadata = header.metadata().clone().unwrap_or_default();
     metadata.insert("info".to_owned(), serde_json::to_string(info).map_err(|error| error.to_string())?);
     serialize(file.tensors(), metadata).map_err(|error| error.to_string())
@@ -503,6 +503,9 @@ mod tests {
             assert!(load_bytes(&bytes[..end]).contains("truncated"));
         }
         assert!(load_bytes(b"ply\nformat binary_little_endian 1.0\n").contains("not a safetensors file"));
+        assert!(load_bytes(b"").contains("the file is empty"));
+        assert!(load_bytes(b"version https://git-lfs.github.com/spec/v1\n").contains("git lfs pull"));
+        assert!(load_bytes(b"<!DOCTYPE html>").contains("a web page"));
         assert!(load_bytes(&save_bytes(&good, |m| drop(m.remove("format")), "")).contains("not a dpges scene"));
         let newer = |m: &mut HashMap<String, String>| drop(m.insert("version".into(), "4".into()));
         assert!(load_bytes(&save_bytes(&good, newer, "")).contains("version 4 is unknown, expected 3 or 2"));

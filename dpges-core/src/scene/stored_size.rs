@@ -15,7 +15,7 @@ impl SceneData {
     /// [`Error::SceneFile`] if it is no safetensors file.
     pub fn stored_sizes(bytes: &[u8], name: &str) -> Result<Vec<(&'static str, usize)>> {
         let wrong = |reason| Error::SceneFile { path: name.into(), reason };
-        let file = SafeTensors::deserialize(bytes).map_err(unreadable).map_err(wrong)?;
+        let file = SafeTensors::deserialize(bytes).map_err(unreadable(bytes)).map_err(wrong)?;
         let size = |name: &str| file.tensor(name).map_or(0, |tensor| tensor.data().len());
         let extra = GaussianData::OPTIONAL.iter().filter(|attribute| file.tensor(attribute.name).is_ok());
         let attributes =

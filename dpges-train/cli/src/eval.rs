@@ -11,7 +11,7 @@ use dpges_train::eval::popping::Measured;
 use dpges_train::eval::rendered::{Renderer, to_picture};
 use dpges_train::eval::worst;
 use dpges_train::eval::{EvalReport, FrameMs, Measures, evaluate_each};
-use dpges_train::run::hold::Hold;
+use dpges_train::run::hold::{Hold, check_report};
 
 use super::data::{Scene, ViewArgs};
 use super::device_choice::{DeviceArgs, watched};
@@ -65,14 +65,14 @@ pub struct EvalArgs {
 
 pub fn run(args: &EvalArgs) -> Result<()> {
     let folders: BTreeSet<&PathBuf> = args.save_images.iter().chain(&args.worst).collect();
-    let holds = folders.into_iter().map(|folder| Hold::of_folder(folder));
-    let _held = (holds.collect::<Result<Vec<_>, _>>()?, hold_report(args.json.as_deref())?);
+    let holds = folders.into_iter().map(|folder| Hold::of_folder(folder)).collect::<Result<Vec<Hold>, _>>()?;
+    let _held = hold_report(args.json.as_deref())?;
     let scene = Scene::load(&args.scene)?;
     let device = args.device.select()?;
-    watched(device, || measure(args, scene, device))
+    watched(device, || measure(args, &holds, scene, device))
 }
 
-fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> {
+fn measure(args: &EvalArgs, holds: &[Hold], mut scene: Scene, device: DeviceName) -> Result<()> {
     let device_name = device.to_string();
     let device = device.open()?;
     let networks = args.lpips.load(&device)?;
@@ -80,6 +80,10 @@ fn measure(args: &EvalArgs, mut scene: Scene, device: DeviceName) -> Result<()> 
     let (source, dataset) = choice.load_dataset(&mut scene)?;
     let views = choice.chosen(&dataset);
     let stems = file_stems(views.iter().map(|view| &*view.name));
+    if let Some(hold) = holds.iter().find(|hold| Some(hold.folder()) == args.save_images.as_deref()) {
+        hold.add_files(stems.iter().map(|stem| format!("{stem}.png")))?;
+    }
+    args.json.iter().try_for_each(|file| check_report(file, &source))?;
     let renderer = Renderer::new(&scene.data, &device);
     let fitted = args.fit_exposure || scene.has_exposure();
     let measures = Measures { fitted, posed: args.fit_poses, ..Measures::perceptual(&networks) };

@@ -17,7 +17,7 @@ use crate::refine::growth::Growth;
 use crate::stage::{OWNERS, in_order, is_sharded};
 
 const FORMAT: &str = "dpges-checkpoint";
-const VERSION: &str = "4";
+const VERSION: &str = "5";
 /// Prefix of the names of columns in the file.
 const COLUMN: &str = "column/";
 /// Suffixes of the names of an attribute's tensors.
@@ -53,6 +53,8 @@ pub struct RunState {
     pub remaining_views: Vec<u32>,
     /// Names of all training views. A run goes on only with the dataset it began with.
     pub view_names: Vec<String>,
+    /// Hashes of their cameras as they were recorded.
+    pub cameras: Vec<u64>,
 }
 
 impl RunState {

@@ -7,6 +7,9 @@ use std::sync::Arc;
 
 use dpges_core::Error;
 use dpges_core::scene::atomic::make_folder;
+use serde_json::Value;
+
+use crate::dataset::source::Source;
 
 /// Keeps the lock of a folder, and names of files that were written to it.
 const NAME: &str = ".dpges-lock";
@@ -15,6 +18,12 @@ const NAME: &str = ".dpges-lock";
 pub enum HoldError {
     #[error("another dpges is writing to {}: wait until it has ended, or name another folder", .path.display())]
     Held { path: PathBuf },
+    #[error(
+        "{} is there already, and is not of dpges, which would replace it: name another folder, or move it away", .path.display()
+    )]
+    Foreign { path: PathBuf },
+    #[error("{} is a file of the dataset, which would be replaced: name another file", .path.display())]
+    OfDataset { path: PathBuf },
     #[error(transparent)]
     File(#[from] Error),
 }
@@ -70,11 +79,24 @@ impl Hold {
     /// Says before they are written which files are going to be.
     ///
     /// # Errors
-    /// [`HoldError::File`].
-    pub fn add_files(&self, names: impl Iterator<Item = String>) -> Result<(), HoldError> {
-        let (mut file, names) = (&self.0.file, names.map(|name| name + "\n").collect::<String>());
+    /// [`HoldError::Foreign`] if one of them is there, and was not written so: a photograph may be, [`HoldError::File`].
+    pub fn add_files(&self, names: impl IntoIterator<Item = String>) -> Result<(), HoldError> {
+        let (own, names) = (self.names()?, names.into_iter().collect::<Vec<String>>());
+        let is_foreign = |name: &&String| self.0.folder.join(name).exists() && !own.lines().any(|own| own == **name);
+        if let Some(name) = names.iter().find(is_foreign) {
+            return Err(HoldError::Foreign { path: self.0.folder.join(name) });
+        }
+        let (mut file, names) = (&self.0.file, names.iter().map(|name| format!("{name}\n")).collect::<String>());
         let written = file.seek(SeekFrom::End(0)).and_then(|_| file.write_all(names.as_bytes()));
         Ok(written.map_err(failed("cannot write", &self.0.folder.join(NAME)))?)
+    }
+
+    /// Names of the files that were written before, a line each.
+    fn names(&self) -> Result<String, HoldError> {
+        let (mut file, mut text) = (&self.0.file, String::new());
+        let read = file.rewind().and_then(|()| file.read_to_string(&mut text));
+        read.map_err(failed("cannot read", &self.0.folder.join(NAME)))?;
+        Ok(text)
     }
 
     /// Says which files have been written. Those of an earlier time that are not among them are removed, as frames of a
@@ -83,9 +105,7 @@ impl Hold {
     /// # Errors
     /// [`HoldError::File`].
     pub fn replace_files(&self, names: &[String]) -> Result<(), HoldError> {
-        let (mut file, mut text) = (&self.0.file, String::new());
-        let lock = self.0.folder.join(NAME);
-        file.rewind().and_then(|()| file.read_to_string(&mut text)).map_err(failed("cannot read", &lock))?;
+        let (mut file, text, lock) = (&self.0.file, self.names()?, self.0.folder.join(NAME));
         for old in text.lines().filter(|old| !names.iter().any(|name| name == old) && !old.contains(['/', '\\'])) {
             let file = self.0.folder.join(old);
             if file.exists() {
@@ -111,6 +131,20 @@ pub fn check_file(path: &Path) -> Result<(), Error> {
         return Err(failed("cannot write", path)(std::io::ErrorKind::IsADirectory.into()));
     }
     tempfile::Builder::new().prefix(".dpges-").tempfile_in(folder).map(drop).map_err(failed("cannot write", path))
+}
+
+/// Checks before the work that a report may be written to `path`: a file in the folder of the dataset is not replaced unless it is a
+/// report itself, a JSON object without frames, as files of cameras have them.
+///
+/// # Errors
+/// [`HoldError::OfDataset`].
+pub fn check_report(path: &Path, source: &Source) -> Result<(), HoldError> {
+    let Source::Folder(folder) = source else { return Ok(()) };
+    let is_within =
+        path.canonicalize().is_ok_and(|path| folder.canonicalize().is_ok_and(|root| path.starts_with(root)));
+    let content = || serde_json::from_slice::<Value>(&std::fs::read(path).unwrap_or_default());
+    let is_report = || content().is_ok_and(|content| content.is_object() && content.get("frames").is_none());
+    if is_within && !is_report() { Err(HoldError::OfDataset { path: path.to_owned() }) } else { Ok(()) }
 }
 
 fn failed<'a>(action: &'static str, path: &'a Path) -> impl FnOnce(std::io::Error) -> Error + 'a {
@@ -151,5 +185,30 @@ mod tests {
         write(&["00000.png", "00001.png", "00002.png"]);
         write(&["00000.png", "00001.png"]);
         assert!(has("00001.png") && !has("00002.png") && has("00009.png"));
+    }
+
+    #[test]
+    fn files_of_others_are_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = || ["a.png".to_owned(), "b.png".to_owned()];
+        let add = || Hold::of_folder(folder.path()).unwrap().add_files(names());
+        add().unwrap();
+        names().iter().for_each(|name| std::fs::write(folder.path().join(name), "").unwrap());
+        add().unwrap();
+        std::fs::write(folder.path().join("c.png"), "a photograph").unwrap();
+        let error = Hold::of_folder(folder.path()).unwrap().add_files(["c.png".to_owned()]).unwrap_err();
+        assert!(error.to_string().contains("c.png is there already"), "{error}");
+        let source = Source::Folder(folder.path().to_owned());
+        let check = |text: &str, source: &Source| {
+            let file = folder.path().join("transforms.json");
+            std::fs::write(&file, text).unwrap();
+            check_report(&file, source)
+        };
+        for cameras in ["{\"frames\": []}", "[1]", "<xml>"] {
+            assert!(matches!(check(cameras, &source), Err(HoldError::OfDataset { .. })), "{cameras}");
+        }
+        check("{\"mean\": {}}", &source).unwrap();
+        check("[1]", &Source::Builtin).unwrap();
+        check_report(&folder.path().join("new.json"), &source).unwrap();
     }
 }

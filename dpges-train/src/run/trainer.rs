@@ -4,6 +4,7 @@
 mod tests;
 
 use std::borrow::Cow;
+use std::iter::zip;
 use std::sync::Arc;
 
 use burn::tensor::Device;
@@ -15,7 +16,7 @@ use super::checkpoint::{Checkpoint, RunState};
 use super::hash::Hash;
 use super::validation::Validation;
 use crate::config::{Config, StagePlan};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, View};
 use crate::device::place::Place;
 use crate::optimizer::Parameter;
 use crate::stage::{
@@ -79,10 +80,20 @@ impl Trainer {
         let Checkpoint { state, mut attributes, mut columns, max_pixels } = checkpoint;
         let plan = state.plan();
         let RunState { config, info, completed_steps, stage: at, validation, growth, .. } = state;
-        let RunState { rng, remaining_views, view_names, .. } = state;
+        let RunState { rng, remaining_views, view_names, cameras, .. } = state;
         if view_names != names_of_views(&dataset) {
             let (before, now) = (view_names.len(), dataset.train.len());
             let reason = format!("it was made with {before} training views, and these {now} are not the same ones");
+            return Err(TrainError::resume(reason));
+        }
+        let of_other_cameras = zip(&dataset.train, &cameras).filter(|(view, camera)| camera_hash(view) != **camera);
+        let mut changed = of_other_cameras.map(|(view, _)| &*view.name);
+        if let Some(first) = changed.next() {
+            let count = 1 + changed.count();
+            let reason = format!(
+                "the cameras of {count} of its training views, `{first}` first, are not those that the run began with: bring \
+                 them back, or begin anew with --overwrite"
+            );
             return Err(TrainError::resume(reason));
         }
         let Some(&current) = plan.get(at) else {
@@ -125,6 +136,7 @@ impl Trainer {
             rng: context.rng.clone(),
             remaining_views: context.remaining_views.clone(),
             view_names: names_of_views(&context.dataset),
+            cameras: context.whole.train.iter().map(camera_hash).collect(),
         };
         Checkpoint { state, attributes, columns, max_pixels }
     }
@@ -303,6 +315,11 @@ impl Trainer {
         }
         Ok(Some(report))
     }
+}
+
+/// Of the camera that took a view, down to the last bit: text of numbers has all of them.
+fn camera_hash(view: &View) -> u64 {
+    Hash::of(format!("{:?}", view.camera).as_bytes())
 }
 
 fn names_of_views(dataset: &Dataset) -> Vec<String> {

@@ -113,3 +113,12 @@ fn a_run_that_corrects_everything_at_once_goes_on_to_the_same_end() {
         assert!(whole.attributes[corrections].raw.iter().all(|number| *number != 0.0), "{corrections}");
     }
 }
+
+#[test]
+fn a_run_does_not_go_on_with_cameras_that_were_moved() {
+    let checkpoint = after(trainer(&["train.steps=6"]), 2).checkpoint();
+    let mut moved = Dataset::clone(&dataset());
+    moved.train[1].camera.camera_from_world.translation.x += 1e-9;
+    let error = Trainer::resume(checkpoint, Arc::new(moved), device()).err().unwrap().to_string();
+    assert!(error.contains("the cameras of 1 of its training views") && error.contains("--overwrite"), "{error}");
+}
