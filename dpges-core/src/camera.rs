@@ -98,8 +98,12 @@ impl Camera {
         finite("cx", (self.cx as f32).is_finite(), self.cx.to_string())?;
         finite("cy", (self.cy as f32).is_finite(), self.cy.to_string())?;
         let pose = &self.camera_from_world;
-        finite("rotation", pose.rotation.as_mat3().is_finite(), format!("{:?}", pose.rotation))?;
-        finite("translation", pose.translation.as_vec3().is_finite(), format!("{:?}", pose.translation))?;
+        finite(
+            "rotation",
+            pose.rotation.as_mat3().is_finite(),
+            format!("{:?}", pose.rotation.transpose().to_cols_array_2d()),
+        )?;
+        finite("translation", pose.translation.as_vec3().is_finite(), format!("{:?}", pose.translation.to_array()))?;
         match &self.lens {
             Some(lens) if !lens.is_sound() => {
                 let expected = "finite coefficients that keep it one to one around the principal point";

@@ -1,6 +1,6 @@
 //! The keys: what each does, and the list that the help shows.
 
-use egui::{Align2, Context, Grid, InputState, Key, RichText, Window};
+use egui::{Align2, Context, Event, Grid, InputState, Key, Modifiers, RichText, Window};
 
 use super::editing::{Edit, Tool};
 use crate::Display;
@@ -99,18 +99,25 @@ const HELP: [(&str, &str); 31] = [
     ("click, double click on a camera", "fly there, be there"),
 ];
 
-/// The commands of the keys that were pressed.
+/// The commands of the keys that were pressed, each with its own modifiers: of a slow frame they are up again at its end.
 pub fn commands(input: &InputState) -> Vec<Command> {
-    if input.modifiers.alt {
-        return Vec::new();
+    let command = |event: &Event| match *event {
+        Event::Key { key, pressed: true, modifiers, .. } => command(key, modifiers),
+        _ => None,
+    };
+    input.events.iter().filter_map(command).collect()
+}
+
+fn command(key: Key, modifiers: Modifiers) -> Option<Command> {
+    if modifiers.alt {
+        return None;
     }
-    if input.modifiers.command {
-        let pressed = |&(key, shift, _): &(Key, bool, Edit)| shift == input.modifiers.shift && input.key_pressed(key);
-        return CTRL_KEYS.into_iter().filter(pressed).map(|(_, _, edit)| Command::Edit(edit)).collect();
+    if modifiers.command {
+        let is_this = |&(known, shift, _): &(Key, bool, Edit)| (known, shift) == (key, modifiers.shift);
+        return CTRL_KEYS.into_iter().find(is_this).map(|(_, _, edit)| Command::Edit(edit));
     }
     let displays = DISPLAY_KEYS.into_iter().zip(Display::ALL.map(Command::Display));
-    let pressed = |&(key, _): &(Key, Command)| input.key_pressed(key);
-    displays.chain(KEYS).filter(pressed).map(|(_, command)| command).collect()
+    displays.chain(KEYS).find(|(known, _)| *known == key).map(|(_, command)| command)
 }
 
 /// Shows the list of keys over the picture; `open` becomes false when it is closed.
@@ -125,4 +132,24 @@ pub fn show_help(context: &Context, open: &mut bool) {
             }
         });
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_have_the_modifiers_that_they_were_pressed_with() {
+        let of = |key: Key, modifiers: Modifiers| {
+            let mut input = InputState::default();
+            input.events.push(Event::Key { key, physical_key: None, pressed: true, repeat: false, modifiers });
+            assert_eq!(input.modifiers, Modifiers::NONE, "they are up again");
+            commands(&input)
+        };
+        assert_eq!(of(Key::Z, Modifiers::COMMAND), [Command::Edit(Edit::Undo)]);
+        assert_eq!(of(Key::Z, Modifiers::COMMAND | Modifiers::SHIFT), [Command::Edit(Edit::Redo)]);
+        assert_eq!(of(Key::A, Modifiers::COMMAND), [Command::Edit(Edit::SelectAll)]);
+        assert_eq!(of(Key::P, Modifiers::NONE), [Command::Screenshot]);
+        assert!(of(Key::Z, Modifiers::NONE).is_empty() && of(Key::P, Modifiers::ALT).is_empty());
+    }
 }

@@ -9,20 +9,22 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::companions::Companions;
-use super::conventions::{DEPTHS, MASKS};
+use super::conventions::{DEPTHS, MASKS, is_read};
 use super::error::{DatasetError, Result};
 use super::finding::Kind;
+use super::folder::Folder;
 use super::formats::cloud;
 use super::formats::source::{DepthFile, Frame, RawPoints, Source, Split};
 use super::image::decoder::ImageDecoder;
 use super::image::masks::Masked;
 use super::image::{codec, depth, masks, reading};
+use super::key::stem;
 use super::layout::Layout;
 use super::names::{in_folder, listing};
 use super::near_plane::near_plane;
 use super::reprojection;
 use super::world::{drop_lost, mean_and_extent};
-use super::{Dataset, Format, LoadOptions, PointCloud, inventory, panoramas};
+use super::{Dataset, Format, LoadOptions, PointCloud, Tracks, inventory, panoramas};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -33,6 +35,7 @@ const RECENTRE_BEYOND_EXTENTS: f64 = 100.0;
 pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOptions) -> Result<Dataset> {
     let root = &layout.folder.root;
     check(&source, options)?;
+    forget_placeholders(&mut source);
     panoramas::cut(&mut source)?;
     check_cameras(&source, options.near.unwrap_or(1.0))?;
     let train_centres: Vec<DVec3> = frames_of(&source, Split::Train).map(|frame| frame.camera.centre()).collect();
@@ -51,13 +54,13 @@ pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOption
     let near = options.near.unwrap_or_else(|| near_plane(&source.frames, &source.points, extent));
     source.frames.iter_mut().for_each(|frame| frame.camera.near = near);
 
-    let mut used: HashSet<PathBuf> =
-        source.used.iter().chain(source.frames.iter().map(|frame| &frame.image)).cloned().collect();
     if let Some(scale) = options.image_scale {
         for frame in &mut source.frames {
-            frame.image = scaled_image(root, &frame.image, scale)?;
+            frame.image = scaled_image(&layout.folder, frame, scale)?;
         }
     }
+    let mut used: HashSet<PathBuf> =
+        source.used.iter().chain(source.frames.iter().map(|frame| &frame.image)).cloned().collect();
     let masks = Companions::new(&layout.folder, MASKS, options.image_scale);
     let depths = Companions::new(&layout.folder, DEPTHS, None);
     for frame in &mut source.frames {
@@ -120,6 +123,14 @@ pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOption
 
 fn frames_of(source: &Source, split: Split) -> impl Iterator<Item = &Frame> {
     source.frames.iter().filter(move |frame| frame.split == split)
+}
+
+/// Takes tracks as unknown where programs that do not know them have written the same for every point.
+fn forget_placeholders(source: &mut Source) {
+    let Some(view) = source.points.seen_by.placeholder(source.frames.len()) else { return };
+    source.points.seen_by = Tracks::default();
+    let message = format!("all points are said to be seen by {} alone, which no capture has", source.frames[view].name);
+    source.notices.add(Kind::Missing, message, "it is taken as unknown which views see them");
 }
 
 /// Checks of the views as a whole.
@@ -189,17 +200,26 @@ fn look_at(source: &mut Source) -> Result<bool> {
     Ok(has_alpha)
 }
 
-/// `images/…` as `images_<scale>/…`.
-fn scaled_image(root: &Path, image: &Path, scale: u32) -> Result<PathBuf> {
+/// `images/…` as `images_<scale>/…`, with another extension if there is none with this one.
+fn scaled_image(files: &Folder, frame: &Frame, scale: u32) -> Result<PathBuf> {
+    let root = files.root.as_path();
     let folder = root.join(format!("images_{scale}"));
     let missing = || DatasetError::MissingScale { path: folder.clone(), available: image_folders(root) };
-    let relative = image.strip_prefix(root).map_err(|_| missing())?;
+    let relative = frame.image.strip_prefix(root).map_err(|_| missing())?;
     let mut components = relative.components().filter(|component| *component != Component::CurDir);
     let is_base = |part: Component<'_>| part.as_os_str().to_string_lossy().split('_').next() == Some("images");
     if !components.next().is_some_and(is_base) || !folder.is_dir() {
         return Err(missing());
     }
-    Ok(folder.join(components.collect::<PathBuf>()))
+    let file = folder.join(components.collect::<PathBuf>());
+    if file.is_file() {
+        return Ok(file);
+    }
+    let key = files.key_of(&file);
+    let mut similar = files.files.range(stem(&key).to_owned()..).take_while(|(other, _)| other.starts_with(stem(&key)));
+    let found = similar.find(|(other, _)| stem(other) == stem(&key) && is_read(other));
+    let words = &["scaled photograph", ", or read those in images/, without --image-scale"];
+    found.map(|(_, path)| path.clone()).ok_or_else(|| frame.missing(file, words))
 }
 
 fn image_folders(root: &Path) -> String {
@@ -275,10 +295,40 @@ mod tests {
             fixtures::write_png(&folder.path().join("images_2").join(&image.name), 12, 8, [10, 20, 30]);
         }
         let data = load(folder.path(), &options).unwrap();
+        assert_eq!(said(&data), "");
         let camera = data.train[0].camera;
         assert_eq!((camera.width, camera.height), (12, 8));
         assert_eq!((camera.fx, camera.cx, camera.cy), (10.0, 6.0, 4.0));
         assert_eq!(data.train[0].picture().unwrap().bytes[..3], [10, 20, 30]);
+    }
+
+    #[test]
+    fn a_scaled_folder_may_have_other_endings_and_must_have_all() {
+        let scene = fixtures::scene(9);
+        let folder = colmap_folder(&scene, Encoding::Text);
+        let options = LoadOptions { image_scale: Some(2), ..Default::default() };
+        for image in &scene.images[1..] {
+            let name = image.name.replace(".png", ".JPG");
+            fixtures::save(&folder.path().join("images_2").join(name), image::RgbImage::new(12, 8));
+        }
+        let file = scene.images[0].name.as_str();
+        assert_refused(folder.path(), &options, &["images_2", file, "is missing", "without --image-scale"]);
+        fixtures::save(&folder.path().join("images_2").join(file), image::RgbImage::new(12, 8));
+        let data = load(folder.path(), &options).unwrap();
+        assert_eq!((data.train.len() + data.test.len(), said(&data)), (9, String::new()));
+    }
+
+    #[test]
+    fn tracks_that_say_nothing_are_unknown() {
+        let mut scene = fixtures::scene(9);
+        scene.points.iter_mut().for_each(|point| point.track = vec![107]);
+        let data = load(colmap_folder(&scene, Encoding::Text).path(), &LoadOptions::default()).unwrap();
+        assert!(data.points.seen_by.are_unknown());
+        assert_says(said(&data), &["all points are said to be seen by", "left/001.png"]);
+        scene.points[0].track = vec![107, 114];
+        scene.points[1].track = vec![107, 121];
+        let data = load(colmap_folder(&scene, Encoding::Text).path(), &LoadOptions::default()).unwrap();
+        assert!(!data.points.seen_by.are_unknown());
     }
 
     #[test]

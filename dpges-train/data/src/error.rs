@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
+
 pub type Result<T, E = DatasetError> = std::result::Result<T, E>;
 
 #[derive(Debug, thiserror::Error)]
@@ -17,7 +19,7 @@ pub enum DatasetError {
          found {found}; point to the folder above sparse/0"
     )]
     NoModel { path: PathBuf, found: String },
-    #[error("{path} is missing, and so is {alternative}; export the model again")]
+    #[error("{path} is missing, and {alternative}; export the model again")]
     MissingModelFile { path: PathBuf, alternative: &'static str },
     #[error("cannot read {path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
@@ -27,8 +29,8 @@ pub enum DatasetError {
     Truncated { path: PathBuf, what: String, needed: u64, left: usize },
     #[error("{path}: {what} is {found}, expected {expected}; repair the entry or remove it")]
     Malformed { path: PathBuf, what: String, found: String, expected: String },
-    #[error("{path} is not the JSON of a file of cameras: {source}; NaN and infinity are not JSON either")]
-    Json { path: PathBuf, source: serde_json::Error },
+    #[error("{path} is not the JSON of a file of cameras: {reason}")]
+    Json { path: PathBuf, reason: String },
     #[error("{path} is not XML: {source}; copy or export it again")]
     Xml { path: PathBuf, source: roxmltree::Error },
     #[error("{path}: none of its {all} cameras has a position; align the photographs, then export the cameras again")]
@@ -60,6 +62,16 @@ pub enum DatasetError {
         "{path}: view `{view}` has neither `fl_x`, `fl_y`, `camera_angle_x` nor `camera_angle_y`; add one for the file or for the frame"
     )]
     NoFocalLength { path: PathBuf, view: String },
+    #[error(
+        "{image} is the photograph of two views that contradict each other: `{}` in {} at {}, `{}` in {} at {}; their poses or \
+         intrinsics differ, remove the wrong one",
+        views[0].0, views[0].1.display(), views[0].2, views[1].0, views[1].1.display(), views[1].2
+    )]
+    Contradiction {
+        image: String,
+        /// Name, file of the pose, and centre of the camera in the world.
+        views: Box<[(String, PathBuf, DVec3); 2]>,
+    },
     #[error("{path}: no views; a dataset needs at least one photograph with a pose")]
     NoViews { path: PathBuf },
     #[error("{path}: no training views, all {held_out} are held out; hold out fewer (`test_every`)")]
@@ -131,6 +143,24 @@ impl DatasetError {
     pub(super) fn malformed(path: &Path, what: String, found: impl ToString, expected: impl ToString) -> Self {
         Self::Malformed { path: path.to_owned(), what, found: found.to_string(), expected: expected.to_string() }
     }
+}
+
+/// Bytes around the place of an error of JSON that tell why it is none.
+const AROUND: usize = 9;
+
+/// The error of a `text` that is not the JSON it should be.
+pub(super) fn not_json(path: &Path, text: &str, error: &serde_json::Error) -> DatasetError {
+    let line = text.lines().nth(error.line().saturating_sub(1)).unwrap_or_default().as_bytes();
+    let at = error.column().min(line.len());
+    let around = String::from_utf8_lossy(&line[at.saturating_sub(AROUND)..(at + AROUND).min(line.len())]);
+    let reason = if text.trim().is_empty() {
+        "it is empty; export it again".to_owned()
+    } else if error.is_syntax() && ["NaN", "nan", "Inf", "inf"].iter().any(|word| around.contains(word)) {
+        format!("{error}; NaN and infinity are not JSON")
+    } else {
+        error.to_string()
+    };
+    DatasetError::Json { path: path.to_owned(), reason }
 }
 
 /// An error of the file system as [`DatasetError::Read`], for `map_err`.

@@ -18,6 +18,8 @@ pub enum Kind {
     FarPose,
     /// The points of a view are not where its photograph shows them.
     OffPose,
+    /// Focal lengths or principal points are rare.
+    Intrinsics,
     NoPoints,
     FewPoints,
     Blurred,
@@ -27,6 +29,12 @@ pub enum Kind {
     ExposureSpread,
     /// A photograph shows what another one shows, from the same place.
     Duplicate,
+    /// All cameras stand at one point.
+    OnePlace,
+    /// A picture has one colour.
+    Plain,
+    /// A picture is far smaller than the others.
+    Small,
     /// No point explains much of what pictures show.
     Unexplained,
     FewViews,

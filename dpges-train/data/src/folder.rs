@@ -41,11 +41,13 @@ impl Folder {
             if name.starts_with('.') || name.starts_with("__") || self.files.len() == MOST_FILES {
                 continue;
             }
-            if path.is_dir() {
+            // links to nowhere are no files, and pipes would be waited for
+            let Ok(about) = path.metadata() else { continue };
+            if about.is_dir() {
                 if depth > 0 {
                     self.add(&path, depth - 1);
                 }
-            } else {
+            } else if about.is_file() {
                 let below = path.strip_prefix(&self.root).unwrap_or(&path).to_string_lossy().into_owned();
                 self.files.entry(key(&below)).or_insert(path);
             }

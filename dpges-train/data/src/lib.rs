@@ -304,13 +304,15 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Dataset> {
 }
 
 fn described(layout: &Layout, options: &LoadOptions) -> Result<Source> {
-    match &layout.cameras {
-        Cameras::Colmap(models) => formats::colmap::read(layout, models, options),
+    let mut source = match &layout.cameras {
+        Cameras::Colmap(models) => formats::colmap::read(layout, models, options)?,
         Cameras::Transforms { train, held_out } => {
-            formats::nerfstudio::read(layout, train, held_out.as_deref(), options)
+            formats::nerfstudio::read(layout, train, held_out.as_deref(), options)?
         }
-        Cameras::Guest { format, files } => formats::guest::read(layout, *format, files, options),
-    }
+        Cameras::Guest { format, files } => formats::guest::read(layout, *format, files, options)?,
+    };
+    formats::plausible::check(&mut source)?;
+    Ok(source)
 }
 
 /// The error of a folder with cameras of programs that are not read; `None` if there are none, or whole datasets within.

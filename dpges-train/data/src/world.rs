@@ -9,6 +9,8 @@ const ASTRAY: f64 = 0.1;
 const FEWEST: usize = 5;
 /// Distance from the middle of the cameras, over that of the farthest of the others, beyond which a camera is astray.
 const FAR: f64 = 10.0;
+/// Distance from the mean, over that of the mean from the origin, below which cameras are in one place.
+const ROUNDING: f64 = 1e-12;
 /// Distance from the middle, over the extent and over the median distance of the points, beyond which there is no point.
 const FARTHEST_POINT: f64 = 1e5;
 
@@ -25,7 +27,7 @@ pub fn mean_and_extent(centres: &[DVec3]) -> (DVec3, f64) {
     centres.truncate(astray.unwrap_or(centres.len()));
     let mean = centres.iter().sum::<DVec3>() / centres.len() as f64;
     let radius = centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max);
-    (mean, if radius > 0.0 { 1.1 * radius } else { 1.0 })
+    (mean, if radius > ROUNDING * mean.length() { 1.1 * radius } else { 1.0 })
 }
 
 /// The upper of the medians, 0 without numbers.

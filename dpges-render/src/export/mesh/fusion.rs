@@ -1,4 +1,4 @@
-//! Depths of many views fused into a truncated signed distance field (Curless and Levoy 1996).
+//! Depths of many views fused into a truncated signed distance field (TSDF; Curless and Levoy 1996).
 
 use std::collections::{BTreeSet, HashSet};
 

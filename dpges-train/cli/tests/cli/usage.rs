@@ -44,7 +44,7 @@ fn what_is_missing_is_exit_code_1_and_named() {
     let at = &folder();
     std::fs::write(at.join("broken.safetensors"), "no scene").unwrap();
     for (args, parts) in [
-        ("train nowhere/data", &["nowhere/data", "transforms.json"][..]),
+        ("train nowhere/data", &["there is no folder", "nowhere/data"][..]),
         #[cfg(feature = "gpu")]
         ("train --device wgpu:99", &["device `wgpu:99`"]),
         ("train --config mine.toml", &["mine.toml"]),

@@ -32,9 +32,27 @@ pub fn unusable(path: &Path) -> Unusable {
         };
         return Unusable { message, advice };
     }
+    if matches!(path.try_exists(), Ok(false)) {
+        return absent(path);
+    }
     let found = listing(path);
     let message = format!("{shown} is no dataset, and there is nothing to make one of: {LOOKED_FOR}, found {found}");
     Unusable { message, advice: advice(path) }
+}
+
+fn absent(path: &Path) -> Unusable {
+    let shown = path.display();
+    let message = match path.read_link() {
+        Ok(target) => format!("{shown} is a link to {}, which is not there", target.display()),
+        Err(_) => format!("there is no folder or file {shown}"),
+    };
+    if path.components().any(|part| part.as_os_str() == "~") {
+        let advice = "the shell does not expand `~` within quotes: write it without them, or $HOME".to_owned();
+        return Unusable { message, advice };
+    }
+    let above = path.ancestors().skip(1).find(|above| above.is_dir());
+    let there = |above: &Path| format!("{} is there, with {}", above.display(), listing(above));
+    Unusable { message, advice: above.map_or_else(|| advice(path), there) }
 }
 
 fn advice(path: &Path) -> String {
@@ -66,10 +84,27 @@ mod tests {
             assert_says(unusable.advice, &[advice]);
         };
         is_said(at, "found an empty folder", "that of photographs or a video: `dpges train`");
-        is_said(&at.join("absent"), "found no such folder", "name the folder of a dataset");
         std::fs::write(at.join("notes.md"), "").unwrap();
         is_said(at, "found notes.md", "by COLMAP");
         is_said(&at.join("notes.md"), "is a file, but no video (mp4, mov,", "name a folder or a video");
+    }
+
+    #[test]
+    fn a_path_that_is_not_there_is_said_to_be_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        std::fs::create_dir(at.join("room")).unwrap();
+        let said = |path: &Path| unusable(path).to_string();
+        let absent = at.join("absent/x");
+        let begins = format!("there is no folder or file {}; ", absent.display());
+        assert!(said(&absent).starts_with(&begins), "{}", said(&absent));
+        assert_says(said(&absent), &[&format!("{} is there, with room", at.display())]);
+        assert_says(said(&at.join("~/x")), &["there is no folder", "`~` within quotes"]);
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink("/nowhere/x", at.join("link")).unwrap();
+            assert_says(said(&at.join("link")), &["is a link to /nowhere/x, which is not there"]);
+        }
     }
 
     #[test]

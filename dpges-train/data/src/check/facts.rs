@@ -1,5 +1,6 @@
 //! Properties of each view: the only place that looks at pixels.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use dpges_core::camera::Camera;
@@ -47,6 +48,12 @@ pub struct ViewFacts {
     pub exposure: Option<f64>,
     #[serde(skip)]
     pub(super) thumbnail: Option<Vec<f32>>,
+    /// Whether all pixels that count have one colour.
+    #[serde(skip)]
+    pub(super) is_plain: bool,
+    /// A hash of all pixels.
+    #[serde(skip)]
+    pub(super) fingerprint: Option<u64>,
 }
 
 /// Camera centre, world units; size and focal lengths, px.
@@ -129,8 +136,24 @@ fn measure(
         detail: None,
         exposure: picture.and_then(exposure),
         thumbnail: luma.as_ref().map(Luma::thumbnail),
+        is_plain: picture.is_some_and(is_plain),
+        fingerprint: picture.map(fingerprint),
     };
     (facts, luma.map(|luma| [luma.detail(), luma.halved().detail()]))
+}
+
+/// Lossy files may vary by one step.
+fn is_plain(picture: &Picture) -> bool {
+    let mut colours =
+        (0..picture.area()).filter(|&pixel| picture.counts(pixel)).map(|pixel| &picture.bytes[3 * pixel..][..3]);
+    let Some(first) = colours.next() else { return true };
+    colours.all(|colour| colour.iter().zip(first).all(|(a, b)| a.abs_diff(*b) <= 1))
+}
+
+fn fingerprint(picture: &Picture) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    (picture.width, &picture.bytes).hash(&mut hasher);
+    hasher.finish()
 }
 
 /// How much brighter the picture shows the points that it saw, where it counts, than they are on average, stops: views shall

@@ -1,13 +1,16 @@
 //! Problems of a dataset, in words. Each judgement compares views with the rest of the set, so that it needs no
 //! knowledge of cameras or scenes.
 
+use std::collections::HashMap;
+
 use glam::DVec3;
 
+use super::MOST_POINTS;
 use super::facts::ViewFacts;
 use super::luma::difference;
 use super::statistics::{Range, median};
 use crate::names::list;
-use crate::{Finding, Kind, Split};
+use crate::{Dataset, Finding, Kind, Split};
 
 /// Distances, relative to the spread of the cameras, beyond which a camera is far: from their middle, and from the next.
 const FAR_FROM_THE_MIDDLE: f64 = 5.0;
@@ -33,6 +36,12 @@ const FEW_OF_MEDIAN: f64 = 0.03;
 const SAME_DISTANCE: f64 = 0.005;
 const SAME_ANGLE: f64 = 0.01;
 const SAME_PICTURE: f64 = 0.02;
+/// Distance of all cameras from their middle below which they stand at one point: over the median distance of the points, where
+/// nothing moves by a pixel, and over the coordinates where there are no points.
+const NO_PARALLAX: f64 = 1e-4;
+const ROUNDING: f64 = 1e-7;
+/// Longer side of a picture, relative to the median, below which it is small.
+const SMALL: f64 = 0.25;
 /// Mean share of pictures without points that is named.
 const UNEXPLAINED: f64 = 0.5;
 /// Fewest training views that are no reason to say so.
@@ -62,15 +71,28 @@ fn named(
 }
 
 /// All that is wrong, from most to least important.
-pub(super) fn findings(views: &[ViewFacts]) -> Vec<Finding> {
-    let judgements =
-        [far_poses, unseen, blurred, exposures, exposure_spread, few_points, duplicates, unexplained, few_views];
-    judgements.into_iter().filter_map(|judgement| judgement(views)).collect()
+pub(super) fn findings(views: &[ViewFacts], dataset: &Dataset) -> Vec<Finding> {
+    let judgements = [
+        plain,
+        far_poses,
+        unseen,
+        copies,
+        small,
+        blurred,
+        exposures,
+        exposure_spread,
+        few_points,
+        duplicates,
+        unexplained,
+        few_views,
+    ];
+    let of_views = judgements.into_iter().filter_map(|judgement| judgement(views));
+    one_place(views, dataset).into_iter().chain(of_views).collect()
 }
 
 /// The middle of the cameras: of each coordinate the median.
-pub(super) fn middle(views: &[ViewFacts]) -> DVec3 {
-    let axis = |axis: usize| median(views.iter().map(|view| view.camera.centre()[axis])).unwrap_or(0.0);
+pub(super) fn middle<'a>(views: impl IntoIterator<Item = &'a ViewFacts> + Clone) -> DVec3 {
+    let axis = |axis: usize| median(views.clone().into_iter().map(|view| view.camera.centre()[axis])).unwrap_or(0.0);
     DVec3::new(axis(0), axis(1), axis(2))
 }
 
@@ -78,6 +100,19 @@ pub(super) fn middle(views: &[ViewFacts]) -> DVec3 {
 fn spread(views: &[ViewFacts]) -> f64 {
     let middle = middle(views);
     median(views.iter().map(|view| view.camera.centre().distance(middle))).unwrap_or(0.0)
+}
+
+fn one_place(views: &[ViewFacts], dataset: &Dataset) -> Option<Finding> {
+    let train: Vec<&ViewFacts> = views.iter().filter(|view| view.role == Split::Train).collect();
+    let middle = middle(train.iter().copied());
+    let farthest = train.iter().map(|view| view.camera.centre().distance(middle)).fold(0.0, f64::max);
+    let positions = &dataset.points.positions;
+    let some = positions.iter().step_by(positions.len().div_ceil(MOST_POINTS).max(1));
+    let depth = median(some.map(|position| DVec3::from_array(position.map(f64::from)).distance(middle)));
+    let reach = depth.map_or_else(|| ROUNDING * (dataset.offset + middle).length(), |depth| NO_PARALLAX * depth);
+    let message = "all cameras stand at one point: no depth can be found".to_owned();
+    let advice = "photograph from many places, or find the cameras again if the photographs were";
+    (train.len() > 1 && farthest <= reach).then(|| overall(Kind::OnePlace, message, advice))
 }
 
 fn far_poses(views: &[ViewFacts]) -> Option<Finding> {
@@ -103,12 +138,80 @@ fn sees_nothing(view: &ViewFacts) -> bool {
 }
 
 fn unseen(views: &[ViewFacts]) -> Option<Finding> {
+    let unseen: Vec<_> =
+        views.iter().filter(|view| sees_nothing(view)).map(|view| (0.0, view, String::new())).collect();
+    if 2 * unseen.len() > views.len() {
+        let count = unseen.len();
+        let message =
+            format!("{count} of {} views see no points: cameras and points do not belong together", views.len());
+        let advice = "give the cameras the axes of their format (OpenGL in transforms.json, OpenCV in COLMAP) and its direction \
+                      (camera-to-world, or world-to-camera), and cameras and points the same unit and `applied_transform`";
+        return Some(overall(Kind::NoPoints, message, advice));
+    }
     named(
         Kind::NoPoints,
         ["a view sees no point", "views see no points"],
-        views.iter().filter(|view| sees_nothing(view)).map(|view| (0.0, view, String::new())).collect(),
+        unseen,
         "nothing says that their cameras are in the right place: leave them out",
     )
+}
+
+fn plain(views: &[ViewFacts]) -> Option<Finding> {
+    let plain = views.iter().filter(|view| view.is_plain).map(|view| (0.0, view, String::new()));
+    let plain: Vec<_> = plain.collect();
+    if !plain.is_empty() && plain.len() == views.len() {
+        let message = "all pictures are of one colour or transparent: they show nothing".to_owned();
+        return Some(overall(Kind::Plain, message, "export them again; transparent pixels show the background"));
+    }
+    let words = [
+        "a picture is of one colour or transparent throughout",
+        "pictures are of one colour or transparent throughout",
+    ];
+    named(Kind::Plain, words, plain, "they show nothing: leave them out, or restore them")
+}
+
+fn small(views: &[ViewFacts]) -> Option<Finding> {
+    let longer = |view: &ViewFacts| view.camera.width.max(view.camera.height) as f64;
+    let usual = median(views.iter().map(longer))?;
+    let note = |view: &ViewFacts| format!(" ({} x {} px)", view.camera.width, view.camera.height);
+    let small = views.iter().filter(|view| longer(view) < SMALL * usual);
+    let (one, several) = (
+        format!("a picture is far smaller than the others, of {usual:.0} px"),
+        format!("pictures are far smaller than the others, of {usual:.0} px"),
+    );
+    named(
+        Kind::Small,
+        [&one, &several],
+        small.map(|view| (longer(view), view, note(view))).collect(),
+        "put the photographs in the place of their previews, or leave them out",
+    )
+}
+
+/// The photographs that are there again, with another camera.
+fn copies(views: &[ViewFacts]) -> Option<Finding> {
+    let advice = "all cameras but one are wrong: put the right photographs in their places, or leave them out";
+    let mut originals: HashMap<u64, &ViewFacts> = HashMap::new();
+    let reach = SAME_DISTANCE * spread(views);
+    let repeated = views.iter().filter(|view| !view.is_plain).filter_map(|view| {
+        let original = *originals.entry(view.fingerprint?).or_insert(view);
+        (!is_same_pose(original, view, reach)).then(|| (0.0, view, format!(" (like {})", original.name)))
+    });
+    let repeated: Vec<_> = repeated.collect();
+    if repeated.len() > 1
+        && originals.len() == 1
+        && views.iter().all(|view| !view.is_plain && view.fingerprint.is_some())
+    {
+        let message = format!("all {} photographs are the same", views.len());
+        return Some(overall(Kind::Duplicate, message, advice));
+    }
+    let words =
+        ["a photograph is there twice, with different cameras", "photographs are there twice, with different cameras"];
+    named(Kind::Duplicate, words, repeated, advice)
+}
+
+fn is_same_pose(a: &ViewFacts, b: &ViewFacts, reach: f64) -> bool {
+    let [forward, forward_of_other] = [a, b].map(|view| view.camera.camera_from_world.rotation.row(2));
+    a.camera.centre().distance(b.camera.centre()) <= reach && forward.angle_between(forward_of_other) < SAME_ANGLE
 }
 
 fn blurred(views: &[ViewFacts]) -> Option<Finding> {
@@ -169,11 +272,8 @@ fn few_points(views: &[ViewFacts]) -> Option<Finding> {
 fn duplicates(views: &[ViewFacts]) -> Option<Finding> {
     let reach = SAME_DISTANCE * spread(views);
     let is_same = |a: &ViewFacts, b: &ViewFacts| {
-        let [forward, forward_of_other] = [a, b].map(|view| view.camera.camera_from_world.rotation.row(2));
         let difference = || difference(a.thumbnail.as_ref()?, b.thumbnail.as_ref()?);
-        a.camera.centre().distance(b.camera.centre()) <= reach
-            && forward.angle_between(forward_of_other) < SAME_ANGLE
-            && difference().is_some_and(|difference| difference < SAME_PICTURE)
+        is_same_pose(a, b, reach) && difference().is_some_and(|difference| difference < SAME_PICTURE)
     };
     let repeated = views.iter().enumerate().filter_map(|(index, view)| {
         let original = views[..index].iter().find(|before| is_same(before, view))?;
@@ -188,7 +288,7 @@ fn duplicates(views: &[ViewFacts]) -> Option<Finding> {
 }
 
 fn unexplained(views: &[ViewFacts]) -> Option<Finding> {
-    let train = views.iter().filter(|view| view.role == Split::Train);
+    let train = views.iter().filter(|view| view.role == Split::Train && !sees_nothing(view));
     let shares: Vec<f64> = train.filter_map(|view| view.unexplained).collect();
     let mean = shares.iter().sum::<f64>() / shares.len().max(1) as f64;
     let message = format!("{:.0} % of what the pictures show has no points", 100.0 * mean);

@@ -64,7 +64,7 @@ impl Report {
         let views = facts::facts(dataset, effort)?;
         let seen: usize = dataset.points.seen_by.iter().map(<[u32]>::len).sum();
         let points = dataset.points.positions.len();
-        let found = dataset.notices.0.iter().cloned().chain(findings::findings(&views));
+        let found = dataset.notices.0.iter().cloned().chain(findings::findings(&views, dataset));
         let (notes, findings) = found.partition(|finding| finding.kind == Kind::Aside);
         let views_per_point = (seen > 0).then(|| seen as f64 / points as f64);
         Ok(Self { views, points, views_per_point, findings, notes })

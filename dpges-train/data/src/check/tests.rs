@@ -199,7 +199,8 @@ fn a_photograph_that_is_there_twice_is_named() {
     assert!(full(&dataset).findings[0].message.ends_with("copy (like train_003)"));
     mask(&mut dataset.train[24], 60, |_| 255);
     assert_eq!(found(&dataset), ["Duplicate copy"], "masked or not");
-    let other = View { camera: dataset.train[3].camera, name: "other".to_owned(), ..dataset.train[9].clone() };
+    let mut other = View { camera: dataset.train[3].camera, name: "other".to_owned(), ..dataset.train[9].clone() };
+    darken(&mut other, 0.98);
     dataset.train[24] = other;
     let duplicates = full(&dataset).findings.into_iter().filter(|finding| finding.kind == Kind::Duplicate);
     assert_eq!(duplicates.count(), 0, "another picture from the same place is none");
@@ -236,6 +237,77 @@ fn views_without_points_and_with_few_are_named() {
     dataset.points.positions.retain(|point| DVec3::from_array(point.map(f64::from)).length() < 1.0);
     dataset.points.colours.truncate(dataset.points.positions.len());
     assert!(found(&dataset).contains(&"NoPoints test_001".to_owned()), "it looks away from all points");
+}
+
+#[test]
+fn cameras_at_one_point_are_said() {
+    let mut dataset = clean();
+    for (turns, points) in [(true, true), (true, false), (false, true), (false, false)] {
+        for (index, view) in dataset.train.iter_mut().enumerate() {
+            let angle = if turns { 0.05 * index as f64 } else { 0.0 };
+            let [centre, towards] = [DVec3::new(3.0, 0.3, 1.0), DVec3::new(angle.cos(), angle.sin(), 0.0)];
+            view.camera.camera_from_world = CameraFromWorld::look_at(centre, centre - towards, DVec3::Z);
+        }
+        if !points {
+            dataset.points = Default::default();
+        }
+        let said = full(&dataset).findings;
+        assert_says(&said[0], &["all cameras stand at one point: no depth can be found"]);
+        dataset.points = clean().points;
+    }
+}
+
+#[test]
+fn cameras_that_do_not_belong_to_the_points_are_not_to_be_left_out() {
+    let mut dataset = clean();
+    dataset.points.seen_by = Tracks::default();
+    for view in dataset.train.iter_mut().chain(&mut dataset.test).skip(10) {
+        let centre = view.camera.centre();
+        view.camera.camera_from_world = CameraFromWorld::look_at(centre, 2.0 * centre, DVec3::Z);
+    }
+    dataset.points.positions.retain(|point| DVec3::from_array(point.map(f64::from)).length() < 1.0);
+    dataset.points.colours.truncate(dataset.points.positions.len());
+    let findings = full(&dataset).findings;
+    let unseen: Vec<&Finding> = findings.iter().filter(|finding| finding.kind == Kind::NoPoints).collect();
+    assert_says(unseen[0], &["20 of 30 views see no points", "do not belong together", "OpenGL"]);
+    assert_eq!(unseen.len(), 1);
+    assert!(!unseen[0].to_string().contains("leave"), "{}", unseen[0]);
+}
+
+#[test]
+fn pictures_of_one_colour_are_named() {
+    let mut dataset = clean();
+    repaint(&mut dataset.train[3], |planes| planes.fill(0.5));
+    assert_says(&full(&dataset).findings[0], &["a picture is of one colour", "train_003"]);
+    dataset.train.iter_mut().chain(&mut dataset.test).for_each(|view| repaint(view, |planes| planes.fill(0.0)));
+    assert_eq!(found(&dataset).len(), 1);
+    assert_says(&full(&dataset).findings[0], &["all pictures are of one colour"]);
+}
+
+#[test]
+fn a_photograph_with_two_cameras_is_named() {
+    let mut dataset = clean();
+    dataset.train[5].photograph = dataset.train[3].photograph.clone();
+    assert!(found(&dataset).contains(&"Duplicate train_005".to_owned()), "{:?}", found(&dataset));
+    let finding = full(&dataset).findings.into_iter().find(|finding| finding.kind == Kind::Duplicate).unwrap();
+    assert_says(finding, &["train_005 (like train_003)", "cameras"]);
+    let photograph = dataset.train[3].photograph.clone();
+    for view in dataset.train.iter_mut().chain(&mut dataset.test) {
+        view.photograph = photograph.clone();
+    }
+    let findings = full(&dataset).findings;
+    assert!(findings.iter().any(|finding| finding.message == "all 30 photographs are the same"), "{findings:?}");
+}
+
+#[test]
+fn a_picture_far_smaller_than_the_others_is_named() {
+    let mut dataset = clean();
+    let view = &mut dataset.train[3];
+    view.photograph = view.photograph.smaller(8, 8);
+    view.camera = view.camera.resized(8, 8);
+    assert_says(found(&dataset).join(", "), &["Small train_003"]);
+    let finding = full(&dataset).findings.into_iter().find(|finding| finding.kind == Kind::Small).unwrap();
+    assert_says(finding, &["train_003 (8 x 8 px)", "96"]);
 }
 
 #[test]

@@ -5,6 +5,7 @@ pub(super) mod colmap;
 pub(super) mod guest;
 mod held_out;
 pub(super) mod nerfstudio;
+pub(super) mod plausible;
 mod ply;
 pub(super) mod source;
 pub(super) mod transforms;

@@ -26,6 +26,7 @@ pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, optio
     let format = if is_of_blender { Format::Blender } else { Format::Nerfstudio };
     let mut source = Source::new(format, train.to_owned(), "the file that lists held-out frames lists none that exist");
     transforms.add_frames(folder, train, Split::Train, &mut source)?;
+    source.drop_twins()?;
     if let Some(split) = listed_split(&transforms) {
         source.frames.iter_mut().for_each(|frame| frame.split = split(&key(&frame.name)));
         let known: BTreeSet<String> = source.frames.iter().map(|frame| key(&frame.name)).collect();
@@ -38,7 +39,7 @@ pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, optio
         read_transforms(path)?.add_frames(folder, path, Split::Test, &mut source)?;
         // a view that is in both is held out
         source.frames.sort_by(|a, b| (&a.name, a.split == Split::Train).cmp(&(&b.name, b.split == Split::Train)));
-        source.frames.dedup_by(|a, b| a.name == b.name);
+        source.drop_twins()?;
     } else {
         let names: Vec<String> = source.frames.iter().map(|frame| frame.name.clone()).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -259,5 +260,89 @@ mod tests {
         ] {
             assert_says(read(&format!(r#""fl_x": 20.0, {words}"#)).unwrap_err(), &["transforms.json", named]);
         }
+    }
+
+    #[test]
+    fn last_rows_other_than_those_of_a_motion_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let frames: Vec<_> = (0..2).map(|i| frame(folder.path(), i, "")).collect();
+        for last in ["[1, 2, 3, 1]", "[0, 0, 0, 2]"] {
+            let frames = [frames[0].clone(), frames[1].replace("[0, 0, 0, 1]", last)];
+            write_transforms(&folder.path().join("transforms.json"), GLOBAL, &frames);
+            let parts = ["transforms.json: the last row", "view `images/01.png`", "is the matrix transposed?"];
+            assert_refused(folder.path(), &LoadOptions::default(), &parts);
+        }
+    }
+
+    #[test]
+    fn intrinsics_in_other_units_are_refused_by_name_and_rare_ones_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let frames: Vec<_> = (0..2).map(|i| frame(folder.path(), i, "")).collect();
+        let sized = r#""w": 240, "h": 160, "#;
+        let read = |header: &str| {
+            write_transforms(&folder.path().join("transforms.json"), header, &frames);
+            load(folder.path(), &LoadOptions { test_every: 0, ..Default::default() })
+        };
+        for (header, parts) in [
+            (r#""camera_angle_x": 39.6"#.to_owned(), ["`camera_angle_x`", "39.6", "in degrees?"]),
+            (r#""camera_angle_y": 3.5"#.to_owned(), ["`camera_angle_y`", "3.5", "in radians"]),
+            (r#""camera_angle_x": -0.7"#.to_owned(), ["`camera_angle_x`", "-0.7", "in radians"]),
+            (format!(r#"{sized}"fl_x": 200, "cx": 0, "cy": 0"#), ["principal point", "0, 0", "240x160"]),
+            (format!(r#"{sized}"fl_x": 200, "cx": 0.5, "cy": 0.5"#), ["principal point", "0.5, 0.5", "normalised?"]),
+            (format!(r#"{sized}"fl_x": 0.9"#), ["focal length", "0.9", "normalised?"]),
+            (r#""fl_x": 200, "cx": 320, "cy": 240"#.to_owned(), ["320, 240", "24x16", "`w` and `h`"]),
+        ] {
+            assert_says(read(&header).unwrap_err(), &[&["transforms.json", "`images/00.png`"][..], &parts].concat());
+        }
+        assert_eq!(said(&read(r#""camera_angle_x": 2.9"#).unwrap()), "");
+        let outside = read(&format!(r#"{sized}"fl_x": 200, "cx": 300, "cy": 80"#)).unwrap();
+        assert_says(said(&outside), &["principal point", "outside", "images/00.png"]);
+        let short = read(&format!(r#"{sized}"fl_x": 8"#)).unwrap();
+        assert_says(said(&short), &["focal length", "images/00.png"]);
+    }
+
+    #[test]
+    fn a_photograph_has_one_view_and_one_pose() {
+        let folder = tempfile::tempdir().unwrap();
+        let frames: Vec<_> = (0..10).map(|i| frame(folder.path(), i, "")).collect();
+        let other = frames[4].replace("images/04", "images/03");
+        let write = |file: &str, frames: &[String]| write_transforms(&folder.path().join(file), GLOBAL, frames);
+        let read = || load(folder.path(), &LoadOptions::default());
+        write("transforms.json", &[frames.as_slice(), &frames[3..4]].concat());
+        let data = read().unwrap();
+        assert_eq!((data.train.len(), data.test.len()), (8, 2));
+        assert_says(said(&data), &["twice", "(1): images/03.png"]);
+        write("transforms.json", &[frames.as_slice(), std::slice::from_ref(&other)].concat());
+        assert_refused(folder.path(), &LoadOptions::default(), &["03.png", "transforms.json", "poses"]);
+        write("transforms.json", &frames);
+        write("transforms_val.json", &frames[3..4]);
+        let data = read().unwrap();
+        assert_eq!((data.train.len(), data.test.len()), (9, 1));
+        assert_says(said(&data), &["twice", "(1): images/03.png"]);
+        write("transforms_val.json", &[other]);
+        assert_refused(folder.path(), &LoadOptions::default(), &["03.png", "transforms.json", "transforms_val.json"]);
+    }
+
+    #[test]
+    fn faults_of_json_name_the_frame() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transforms.json");
+        let frame = frame(folder.path(), 0, "");
+        let of = |second: &str| format!(r#"{{{GLOBAL}, "frames": [{frame}, {second}]}}"#);
+        for (text, parts) in [
+            (" \n".to_owned(), ["is empty", "export"]),
+            (format!("[{frame}]"), ["a list", "`frames`"]),
+            (of(r#"{"transform_matrix": [[1]]}"#), ["frame 2 of 2", "`file_path`"]),
+            (of(r#"{"file_path": "b.png"}"#), ["frame 2 of 2 (b.png)", "`transform_matrix`"]),
+            (of(r#"{"file_path": "b.png", "transform_matrix": null}"#), ["frame 2 of 2 (b.png)", "null"]),
+            (of(r#"{"file_path": "", "transform_matrix": [[1, 0, 0, 0]]}"#), ["frame 2 of 2", "is empty"]),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let error = load(folder.path(), &LoadOptions::default()).unwrap_err().to_string();
+            assert_says(&error, &[&["transforms.json"][..], &parts].concat());
+            assert!(!error.contains("NaN"), "{error}");
+        }
+        std::fs::write(&path, of(r#"{"file_path": "b.png", "transform_matrix": [[NaN]]}"#)).unwrap();
+        assert_refused(folder.path(), &LoadOptions::default(), &["line 2", "NaN"]);
     }
 }

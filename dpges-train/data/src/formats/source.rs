@@ -1,5 +1,6 @@
 //! A dataset as its files describe it, before a pixel is read: what the format readers hand to assembly.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Lens};
@@ -10,6 +11,9 @@ use crate::finding::{Kind, Notices};
 use crate::image::codec::Header;
 use crate::image::panorama::Face;
 use crate::{Format, Tracks};
+
+/// Difference between views of a photograph by which they are rounded: of rotations, of positions and intrinsics by their size.
+const TWINS_ROUNDED: f64 = 1e-4;
 
 /// Which set a view belongs to; `Neither` for a view that the dataset's own lists leave out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -95,6 +99,25 @@ pub(super) fn lens(distortion: Distortion) -> Option<Lens> {
     (!distortion.is_pinhole()).then(|| Lens::new(distortion))
 }
 
+/// # Errors
+/// [`DatasetError::Contradiction`] if two views of a photograph, name, file and camera, differ by more than rounding.
+pub(super) fn check_twins(views: [(&str, &Path, &Camera); 2]) -> Result<()> {
+    let [a, b] = views.map(|(.., camera)| camera);
+    let rotation = (a.camera_from_world.rotation - b.camera_from_world.rotation).to_cols_array();
+    let translations = [a, b].map(|camera| camera.camera_from_world.translation);
+    let intrinsics = [a, b].map(|camera| [camera.fx, camera.fy, camera.cx, camera.cy]);
+    let is_near = |a: f64, b: f64, unit: f64| (a - b).abs() <= TWINS_ROUNDED * unit;
+    let are_alike = rotation.iter().all(|&difference| is_near(difference, 0.0, 1.0))
+        && is_near((translations[0] - translations[1]).length(), 0.0, translations[0].length())
+        && (0..4).all(|at| is_near(intrinsics[0][at], intrinsics[1][at], a.width.max(a.height) as f64))
+        && (a.width, a.height, a.lens) == (b.width, b.height, b.lens);
+    if are_alike {
+        return Ok(());
+    }
+    let views = views.map(|(name, path, camera)| (name.to_owned(), path.to_owned(), camera.centre()));
+    Err(DatasetError::Contradiction { image: views[0].0.clone(), views: Box::new(views) })
+}
+
 /// Whether an image of size `found` (width and height, px) is a whole photograph of size `full` made smaller or larger, each
 /// side rounded by up to a pixel.
 fn is_resized(found: [usize; 2], full: [usize; 2]) -> bool {
@@ -146,6 +169,38 @@ impl Source {
         let (frames, points, reprojection_px) = Default::default();
         let (missing, used, notices) = Default::default();
         Self { format, frames, points, reprojection_px, described_in, no_test_reason, missing, used, notices }
+    }
+
+    /// Keeps the first of the views of each photograph, and names the others.
+    ///
+    /// # Errors
+    /// [`DatasetError::Contradiction`] if they differ.
+    pub fn drop_twins(&mut self) -> Result<()> {
+        let (mut at, mut twins) = (HashMap::new(), Vec::new());
+        for frame in std::mem::take(&mut self.frames) {
+            let index = *at.entry(frame.image.clone()).or_insert(self.frames.len());
+            if let Some(first) = self.frames.get(index) {
+                check_twins(
+                    [first, &frame].map(|frame| (frame.name.as_str(), frame.described_in.as_path(), &frame.camera)),
+                )?;
+                twins.push(frame.name);
+            } else {
+                self.frames.push(frame);
+            }
+        }
+        self.say_twins(&twins);
+        Ok(())
+    }
+
+    /// Says that photographs were there twice.
+    pub fn say_twins(&mut self, names: &[String]) {
+        let what = "photographs are described twice, alike";
+        self.notices.add_names(
+            Kind::Aside,
+            what,
+            names,
+            "one view of each is used, the one that is held out if one is",
+        );
     }
 
     /// Says so if rotations of views, with their scales, were not quite those of a rigid motion.

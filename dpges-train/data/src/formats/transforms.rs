@@ -3,6 +3,7 @@
 //! Poses map camera to world with OpenGL axes (y up, looking along −z). Intrinsics at the top level apply to all
 //! frames, intrinsics in a frame to that frame.
 
+use std::f64::consts::PI;
 use std::path::Path;
 
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Projection};
@@ -11,7 +12,7 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::source::{DepthFile, Frame, PanoramaPart, Source, Split, lens};
-use crate::error::{DatasetError, Result, read_text};
+use crate::error::{DatasetError, Result, not_json, read_text};
 use crate::folder::Folder;
 use crate::image::codec;
 use crate::image::depth::DEFAULT_UNIT;
@@ -20,6 +21,8 @@ use crate::image::depth::DEFAULT_UNIT;
 const MOST_SHEARED: f64 = 0.03;
 /// The same, and the difference of s from 1, up to which that is not said.
 const ROUNDED: f64 = 2e-3;
+/// Difference of an entry of the last row of a pose from 0 0 0 1, by which it is rounded.
+const LAST_ROW_ROUNDED: f64 = 1e-6;
 /// The expectation of a pose, for messages.
 pub(super) const ROTATION: &str = "a rotation without shear or mirroring";
 /// Beginnings of keys of a lens that the others do not describe, and whole ones.
@@ -90,7 +93,35 @@ struct Intrinsics {
 /// # Errors
 /// [`DatasetError::Read`], [`DatasetError::Json`].
 pub(crate) fn read_transforms(path: &Path) -> Result<Transforms> {
-    serde_json::from_str(&read_text(path)?).map_err(|source| DatasetError::Json { path: path.to_owned(), source })
+    parse(path, &read_text(path)?)
+}
+
+fn parse(path: &Path, text: &str) -> Result<Transforms> {
+    let file: Transforms = serde_json::from_str(text).map_err(|error| {
+        let reason = serde_json::from_str::<Value>(text).ok().and_then(|value| fault(&value));
+        reason
+            .map_or_else(|| not_json(path, text, &error), |reason| DatasetError::Json { path: path.to_owned(), reason })
+    })?;
+    if let Some(index) = file.frames.iter().position(|frame| name(&frame.file_path).is_empty()) {
+        let what = format!("the `file_path` of frame {} of {}", index + 1, file.frames.len());
+        return Err(DatasetError::malformed(path, what, "empty", "the path of a photograph"));
+    }
+    Ok(file)
+}
+
+/// Why a file of JSON has no [`Transforms`], as far as its shape or its frames tell.
+fn fault(file: &Value) -> Option<String> {
+    if !file.is_object() {
+        let found = if file.is_array() { "a list" } else { "a single value" };
+        return Some(format!("it is {found}, expected an object with a list `frames`"));
+    }
+    let frames = file.get("frames")?.as_array()?;
+    frames.iter().enumerate().find_map(|(index, frame)| {
+        let error = JsonFrame::deserialize(frame).err()?;
+        let name = frame.get("file_path").and_then(Value::as_str).map(|path| format!(" ({})", name(path)));
+        let (number, count) = (index + 1, frames.len());
+        Some(format!("frame {number} of {count}{}: {error}", name.unwrap_or_default()))
+    })
 }
 
 /// The path a dataset gives a file, with `/` between its parts and without the leading `./`.
@@ -104,12 +135,11 @@ pub(super) fn name(file_path: &str) -> String {
 /// # Errors
 /// As [`Transforms::frames`].
 pub(crate) fn cameras(path: &Path) -> Result<Option<Vec<(String, Camera)>>> {
-    let json = |source| DatasetError::Json { path: path.to_owned(), source };
     let text = read_text(path)?;
     if !serde_json::from_str::<Value>(&text).is_ok_and(|file| file.get("frames").is_some()) {
         return Ok(None);
     }
-    let file: Transforms = serde_json::from_str(&text).map_err(json)?;
+    let file = parse(path, &text)?;
     let root = path.parent().unwrap_or(path);
     let camera = |frame: &JsonFrame| {
         let name = name(&frame.file_path);
@@ -141,7 +171,10 @@ impl Transforms {
     fn intrinsics_of(&self, frame: &JsonFrame, path: &Path) -> Result<Intrinsics> {
         let mut own = self.intrinsics.clone();
         own.extend(frame.intrinsics.clone());
-        serde_json::from_value(own.into()).map_err(|source| DatasetError::Json { path: path.to_owned(), source })
+        serde_json::from_value(own.into()).map_err(|error| {
+            let reason = format!("the intrinsics of view `{}`: {error}", name(&frame.file_path));
+            DatasetError::Json { path: path.to_owned(), reason }
+        })
     }
 
     /// Adds the frames of the file at `path` whose pictures are in `folder` to `source`, all in `split`, sorted by name.
@@ -193,9 +226,12 @@ fn camera_from_world(path: &Path, view: &str, matrix: &[Vec<f64>]) -> Result<(Ca
     let malformed = |found: String, expected| {
         DatasetError::malformed(path, format!("the transform_matrix of view `{view}`"), found, expected)
     };
-    if matrix.len() < 3 || matrix.iter().any(|row| row.len() != 4) {
+    if !(3..=4).contains(&matrix.len()) || matrix.iter().any(|row| row.len() != 4) {
         let columns: Vec<usize> = matrix.iter().map(Vec::len).collect();
         return Err(malformed(format!("of rows of {columns:?} numbers"), "3 or 4 rows of 4 numbers"));
+    }
+    if let Some(last) = matrix.get(3) {
+        check_last_row(path, &format!("the transform_matrix of view `{view}`"), last)?;
     }
     let column = |j: usize| DVec3::new(matrix[0][j], matrix[1][j], matrix[2][j]);
     let world_from_camera = DMat3::from_cols(column(0), -column(1), -column(2));
@@ -204,6 +240,16 @@ fn camera_from_world(path: &Path, view: &str, matrix: &[Vec<f64>]) -> Result<(Ca
         return Err(malformed(format!("{matrix:?}"), "finite numbers"));
     }
     rigid(world_from_camera, centre).ok_or_else(|| malformed(format!("{matrix:?}"), ROTATION))
+}
+
+/// # Errors
+/// [`DatasetError::Malformed`] for another last row of a pose of four rows than that of a motion, 0 0 0 1.
+pub(super) fn check_last_row(path: &Path, of: &str, row: &[f64]) -> Result<()> {
+    if row.iter().zip([0.0, 0.0, 0.0, 1.0]).all(|(found, expected)| (found - expected).abs() <= LAST_ROW_ROUNDED) {
+        return Ok(());
+    }
+    let expected = "[0, 0, 0, 1] (is the matrix transposed?)";
+    Err(DatasetError::malformed(path, format!("the last row of {of}"), format!("{row:?}"), expected))
 }
 
 /// The pose of a camera at `centre` whose OpenCV axes are the columns of a matrix, up to its scale, which is returned if it is not
@@ -248,9 +294,15 @@ impl Intrinsics {
             return Ok((camera, Some(front)));
         };
         let (w, h) = (width as f64, height as f64);
-        let from_angle = |angle: Option<f64>, side: f64| angle.map(|angle| 0.5 * side / (0.5 * angle).tan());
-        let fx = self.fl_x.or(from_angle(self.camera_angle_x, w));
-        let fy = self.fl_y.or(from_angle(self.camera_angle_y, h));
+        let from_angle = |key: &str, angle: Option<f64>, side: f64| match angle {
+            Some(angle) if !(angle > 0.0 && angle < PI) => {
+                let expected = "an angle between 0 and π, in radians (is it in degrees?)";
+                Err(DatasetError::malformed(path, format!("`{key}` of view `{view}`"), angle, expected))
+            }
+            _ => Ok(angle.map(|angle| 0.5 * side / (0.5 * angle).tan())),
+        };
+        let fx = self.fl_x.map_or_else(|| from_angle("camera_angle_x", self.camera_angle_x, w), |fl| Ok(Some(fl)))?;
+        let fy = self.fl_y.map_or_else(|| from_angle("camera_angle_y", self.camera_angle_y, h), |fl| Ok(Some(fl)))?;
         let lacks_one = || DatasetError::NoFocalLength { path: path.to_owned(), view: view.to_owned() };
         let (fx, fy) = (fx.or(fy).ok_or_else(lacks_one)?, fy.or(fx).ok_or_else(lacks_one)?);
         let or_zero = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);

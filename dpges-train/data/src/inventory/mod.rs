@@ -1,14 +1,14 @@
 //! Unused files of a dataset: the only place that decides whether they are reported.
 
-use std::collections::{BTreeSet, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use super::conventions::{ARRAYS, DEPTHS, MASKS, POINTS, is_picture, is_read, subject};
+use super::conventions::{ARRAYS, DEPTHS, MASKS, POINTS, is_companion, is_picture, is_read, subject};
 use super::error::{Result, read_text};
 use super::finding::{Kind, Notices};
 use super::folder::Folder;
 use super::foreign::{self, BEGINNING};
-use super::formats::source::Source;
+use super::formats::source::{Frame, Source};
 use super::formats::{colmap, transforms};
 use super::key::{extension, key, parent, stem};
 use super::layout::{Cameras, Layout};
@@ -71,6 +71,10 @@ pub fn survey(layout: &Layout, source: &Source, mut used: HashSet<PathBuf>, read
         used.extend(folder.files.values().filter(is_part).cloned());
     }
 
+    let what = "photographs of one name lie in several folders";
+    let advice = "those in the first are used; begin the names in the dataset with the folder (cam1/NAME) to say which";
+    notices.add_names(Kind::Unused, what, &ambiguous(folder, source), advice);
+
     // all other files
     let model = source.described_in.parent().unwrap_or(root);
     let is_of_model = |key: &str, path: &Path| {
@@ -122,6 +126,30 @@ pub fn survey(layout: &Layout, source: &Source, mut used: HashSet<PathBuf>, read
         notices.add_files(Kind::Aside, &what, root, &files, "nothing is lost");
     }
     notices
+}
+
+/// The views whose names fit photographs in several folders below that of photographs, with these, that of the used one first.
+fn ambiguous(folder: &Folder, source: &Source) -> Vec<String> {
+    let mut by_name: HashMap<&str, Vec<&str>> = HashMap::new();
+    for key in folder.files.keys().filter(|key| is_read(key) && !is_companion(key)) {
+        by_name.entry(stem(parent(key).1)).or_default().push(key);
+    }
+    let places = |frame: &Frame| {
+        let (used, name) = (folder.key_of(&frame.image), key(&frame.name));
+        let base = used.split('/').next()?;
+        let name = stem(name.strip_prefix(base).and_then(|name| name.strip_prefix('/')).unwrap_or(&name));
+        // what lies between the folder of photographs and the name
+        let between = |key: &str| {
+            let within = stem(key).strip_prefix(base)?.strip_prefix('/')?;
+            within.strip_suffix(name)?.strip_suffix('/').map(str::to_owned)
+        };
+        let own = between(&used)?;
+        let others = by_name.get(parent(name).1)?.iter().filter_map(|key| between(key)).filter(|other| *other != own);
+        let others: BTreeSet<String> = others.collect();
+        let all: Vec<String> = [&own].into_iter().chain(&others).map(|place| format!("{base}/{place}")).collect();
+        (!others.is_empty()).then(|| format!("{} ({})", frame.name, all.join(", ")))
+    };
+    source.frames.iter().filter_map(places).collect()
 }
 
 /// Keys of the pictures that a model of COLMAP or a file of transforms describes.

@@ -53,6 +53,37 @@ fn models_and_photographs_are_found_where_other_programs_put_them() {
 }
 
 #[test]
+fn names_that_two_folders_have_are_said() {
+    let mut scene = fixtures::scene(9);
+    scene.images.iter_mut().for_each(|image| image.name = image.name.replace("left/", ""));
+    let (folder, at) = (tempfile::tempdir().unwrap(), |name: &str, of: &str| format!("images/{of}/{name}"));
+    fixtures::write_model(&folder.path().join("sparse/0"), &scene, Encoding::Text);
+    for (index, image) in scene.images.iter().enumerate() {
+        write_png(&folder.path().join(at(&image.name, "cam1")), 24, 16, image.rgb);
+        if index < 2 {
+            write_png(&folder.path().join(at(&image.name, "cam2")), 24, 16, image.rgb);
+        }
+        write_png(&folder.path().join("images_2").join(&image.name), 12, 8, image.rgb);
+    }
+    let data = loaded(folder.path());
+    assert_says(said(&data), &["in several folders (2): 007.png (images/cam1, images/cam2), 008.png ("]);
+}
+
+#[cfg(unix)]
+#[test]
+fn links_to_nowhere_are_missing_photographs() {
+    let (_folder, at) = dataset();
+    let photograph = at.join("images/left/003.png");
+    std::fs::remove_file(&photograph).unwrap();
+    std::os::unix::fs::symlink("/nowhere.png", &photograph).unwrap();
+    assert_says(said(&loaded(&at)), &["their views left out (1): images/left/003.png"]);
+    std::fs::remove_file(&photograph).unwrap();
+    // it is read, like a pipe, without an end
+    std::os::unix::fs::symlink("/dev/zero", &photograph).unwrap();
+    assert_says(said(&loaded(&at)), &["their views left out (1): images/left/003.png"]);
+}
+
+#[test]
 fn a_folder_of_datasets_is_none() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["garden", "room"] {

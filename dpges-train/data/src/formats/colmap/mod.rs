@@ -16,16 +16,19 @@ use dpges_core::camera::{Camera, CameraFromWorld};
 use glam::DVec3;
 
 use self::camera_model::CameraRecord;
-use super::source::{Frame, PanoramaPart, RawPoints, Source};
+use super::source::{Frame, PanoramaPart, RawPoints, Source, check_twins};
 use super::{held_out, ply};
 use crate::check::median;
 use crate::error::{DatasetError, Result};
+use crate::finding::Kind;
 use crate::layout::Layout;
 use crate::names::listing;
 use crate::{Format, LoadOptions, Tracks};
 
 /// Difference from 1 of the length of a quaternion that is said.
 const MOST_SCALED: f64 = 1e-2;
+/// Names of the files of a model.
+const STEMS: [&str; 3] = ["cameras", "images", "points3D"];
 /// Keypoints of an image by which its camera is judged: at least, at most.
 const FEWEST_OBSERVED: usize = 16;
 const MOST_OBSERVED: usize = 256;
@@ -64,12 +67,21 @@ pub(crate) fn read(layout: &Layout, models: &[PathBuf], options: &LoadOptions) -
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let described_in = file(&model, "images")?;
     let mut source = Source::new(Format::Colmap, described_in, "test.txt names no registered image");
+    let [used, other] = encodings(&model);
+    let twins = STEMS.map(|stem| model.join(format!("{stem}.{other}")));
+    let twins: Vec<PathBuf> = twins.into_iter().filter(|path| path.is_file()).collect();
+    let advice = "remove those that are out of date";
+    let what = format!("files of a model in another encoding are not used, those in .{used} are");
+    source.notices.add_files(Kind::Aside, &what, root, &twins, advice);
     let scaled = images.iter().filter_map(|image| {
         let scale = image.wxyz.iter().map(|number| number * number).sum::<f64>().sqrt();
         ((scale - 1.0).abs() > MOST_SCALED).then(|| (image.name.clone(), scale))
     });
     source.say_scaled(&scaled.collect::<Vec<_>>());
-    let frame_of = read_frames(&mut source, layout, &model, &images, options)?;
+    let cameras = Cameras::read(&model)?;
+    let twins = drop_twins(&mut images, &cameras, &source.described_in)?;
+    source.say_twins(&twins);
+    let frame_of = read_frames(&mut source, layout, &model, &cameras, &images, options)?;
     let (points, observed) = points(layout, &model, &frame_of, &images, &mut source.used)?;
     source.points = points;
     source.reprojection_px = reprojection_px(&source.frames, &images, &frame_of, &observed);
@@ -134,14 +146,27 @@ fn images(model: &Path) -> Result<Vec<ImageRecord>> {
     if is_binary(&path) { binary::images(&path) } else { text::images(&path) }
 }
 
-/// `stem`.bin in the model's folder, or else `stem`.txt.
+/// `stem`.bin in the model's folder, or `stem`.txt: that of the encoding of which more files are there, binary if both are whole.
 fn file(model: &Path, stem: &str) -> Result<PathBuf> {
-    let (binary, text) = (model.join(format!("{stem}.bin")), model.join(format!("{stem}.txt")));
-    match (binary.is_file(), text.is_file()) {
-        (true, _) => Ok(binary),
-        (false, true) => Ok(text),
-        (false, false) => Err(DatasetError::MissingModelFile { path: binary, alternative: "its .txt twin" }),
+    let [used, other] = encodings(model).map(|encoding| model.join(format!("{stem}.{encoding}")));
+    if used.is_file() {
+        return Ok(used);
     }
+    let alternative = if other.is_file() {
+        "its twin in the other encoding is of another model than the files beside it"
+    } else {
+        "so is its .txt twin"
+    };
+    Err(DatasetError::MissingModelFile { path: used, alternative })
+}
+
+/// The encoding of which the files in a model's folder are read, and the other.
+fn encodings(model: &Path) -> [&'static str; 2] {
+    let rank = |encoding: &str| {
+        let [cameras, images, points] = STEMS.map(|stem| model.join(format!("{stem}.{encoding}")).is_file());
+        (cameras && images, [cameras, images, points].iter().filter(|&&is_there| is_there).count())
+    };
+    if rank("txt") > rank("bin") { ["txt", "bin"] } else { ["bin", "txt"] }
 }
 
 fn is_binary(path: &Path) -> bool {
@@ -169,8 +194,16 @@ struct Cameras {
 impl Cameras {
     fn read(model: &Path) -> Result<Self> {
         let path = file(model, "cameras")?;
-        let records = if is_binary(&path) { binary::cameras(&path)? } else { text::cameras(&path)? };
-        Ok(Self { path, records: records.into_iter().map(|camera| (camera.id, camera)).collect() })
+        let all = if is_binary(&path) { binary::cameras(&path)? } else { text::cameras(&path)? };
+        let mut records = BTreeMap::new();
+        for camera in all {
+            if records.get(&camera.id).is_some_and(|other| *other != camera) {
+                let (what, found) = (format!("camera {}", camera.id), "there twice, with different parameters");
+                return Err(DatasetError::malformed(&path, what, found, "one camera of an id"));
+            }
+            records.insert(camera.id, camera);
+        }
+        Ok(Self { path, records })
     }
 
     /// That of an image which `described_in` has.
@@ -180,9 +213,39 @@ impl Cameras {
             let found = format!("{}, which {} does not hold", image.camera_id, self.path.display());
             DatasetError::malformed(described_in, what, found, "the id of a camera")
         })?;
+        let length = image.wxyz.iter().map(|number| number * number).sum::<f64>().sqrt();
+        if !(length.is_finite() && length > 0.0) {
+            let what = format!("the quaternion of image `{}`", image.name);
+            let found = format!("{}, which is no rotation", image.wxyz.map(|number| number.to_string()).join(" "));
+            return Err(DatasetError::malformed(described_in, what, found, "four finite numbers that are not all 0"));
+        }
         let camera_from_world = CameraFromWorld::from_quaternion(image.wxyz, image.translation.into());
         record.camera(&self.path, camera_from_world)
     }
+}
+
+/// Keeps one of the `images`, which are sorted by name, of each name. Returns the names of the others.
+///
+/// # Errors
+/// [`DatasetError`] if images of a name differ, or images of two names have one id.
+fn drop_twins(images: &mut Vec<ImageRecord>, cameras: &Cameras, described_in: &Path) -> Result<Vec<String>> {
+    let mut twins = Vec::new();
+    for (first, second) in images.iter().zip(images.iter().skip(1)).filter(|(first, second)| first.name == second.name)
+    {
+        let [a, b] = [cameras.of(first, described_in)?.0, cameras.of(second, described_in)?.0];
+        check_twins([(&first.name, described_in, &a), (&second.name, described_in, &b)])?;
+        twins.push(first.name.clone());
+    }
+    images.dedup_by(|second, first| second.name == first.name);
+    let mut of_id = HashMap::new();
+    for image in &*images {
+        if let Some(other) = of_id.insert(image.id, &image.name) {
+            let (what, found) =
+                (format!("image id {}", image.id), format!("that of `{other}` and of `{}`", image.name));
+            return Err(DatasetError::malformed(described_in, what, found, "the id of one image"));
+        }
+    }
+    Ok(twins)
 }
 
 /// Adds the frames whose pictures are there to `source`. Returns their indices by the ids of images.
@@ -190,11 +253,11 @@ fn read_frames(
     source: &mut Source,
     layout: &Layout,
     model: &Path,
+    cameras: &Cameras,
     images: &[ImageRecord],
     options: &LoadOptions,
 ) -> Result<BTreeMap<u32, u32>> {
     let root = &layout.folder.root;
-    let cameras = Cameras::read(model)?;
     let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
     let splits = held_out::from_lists(&[root, &root.join("sparse"), model], &names, source)?;
     let splits = splits.unwrap_or_else(|| held_out::every_nth(images.len(), options.test_every));

@@ -326,3 +326,49 @@ fn cameras_that_do_not_stand_where_their_keypoints_say_are_named() {
     assert_eq!((other.reprojection_px, said(&other)), (None, String::new()));
     assert_eq!(loaded_as(&fixtures::scene(10), Encoding::Text).reprojection_px, None);
 }
+
+/// The scene of three images as text with a replacement in one of its files.
+fn edited(name: &str, edit: impl Fn(&str) -> String) -> tempfile::TempDir {
+    let folder = colmap_folder(&fixtures::scene(3), Encoding::Text);
+    let path = folder.path().join("sparse/0").join(name);
+    std::fs::write(&path, edit(&std::fs::read_to_string(&path).unwrap())).unwrap();
+    folder
+}
+
+#[test]
+fn an_image_has_one_name_one_id_and_one_pose() {
+    let contradiction = edited("images.txt", |text| text.replace("left/001.png", "left/002.png"));
+    refused(contradiction.path(), &["left/002.png", "images.txt", "poses"]);
+    let ids = edited("images.txt", |text| text.replace("\n107 ", "\n114 "));
+    refused(ids.path(), &["images.txt", "id 114", "left/001.png", "left/002.png"]);
+    let cameras = edited("cameras.txt", |text| format!("{text}\n{}\n", text.trim().replace("24 16 20", "24 16 30")));
+    refused(cameras.path(), &["cameras.txt", "camera 5", "twice"]);
+    let again = edited("images.txt", |text| {
+        let line = text.lines().find(|line| line.ends_with("left/001.png")).unwrap();
+        format!("{}\n\n{}\n\n", text.trim_end(), line.replacen("107", "900", 1))
+    });
+    let data = load(again.path(), &LoadOptions { test_every: 0, ..Default::default() }).unwrap();
+    assert_eq!(data.train.len(), 3);
+    assert_says(said(&data), &["twice", "(1): left/001.png"]);
+}
+
+#[test]
+fn a_stray_file_of_the_other_encoding_is_not_mixed_in() {
+    let folder = edited("images.txt", str::to_owned);
+    std::fs::write(folder.path().join("sparse/0/cameras.bin"), [0; 8]).unwrap();
+    assert_says(said(&loaded(folder.path())), &["sparse/0/cameras.bin"]);
+    std::fs::remove_file(folder.path().join("sparse/0/cameras.txt")).unwrap();
+    refused(folder.path(), &["cameras.txt is missing"]);
+}
+
+#[test]
+fn quaternions_that_are_no_rotation_name_the_image() {
+    for quaternion in ["0 0 0 0", "NaN 0 0 0"] {
+        let folder = edited("images.txt", |text| {
+            let line = text.lines().find(|line| line.ends_with("left/001.png")).unwrap();
+            let rest: Vec<&str> = line.split_whitespace().skip(5).collect();
+            text.replace(line, &format!("107 {quaternion} {}", rest.join(" ")))
+        });
+        refused(folder.path(), &["images.txt", "quaternion", "left/001.png", quaternion, "rotation"]);
+    }
+}

@@ -11,6 +11,7 @@ use dpges_core::camera::{Distortion, Projection};
 use glam::DVec3;
 use roxmltree::{Document, Node};
 
+use super::super::transforms::check_last_row;
 use super::{Found, Optics, by_rows, numbers, refused};
 use crate::error::{DatasetError, Result, read_text};
 use crate::finding::{Kind, Notices};
@@ -75,11 +76,10 @@ pub(super) fn read(path: &Path) -> Result<Found> {
             Some(optics) => *optics,
             None => *optics.entry(id).or_insert(sensor_optics(path, *sensor, &mut found.notices)?),
         };
-        let [xx, xy, xz, x, yx, yy, yz, y, zx, zy, zz, z, ..]: [f64; 16] = numbers(
-            path,
-            &format!("the transform of camera `{label}`"),
-            child_text(camera, "transform").unwrap_or(""),
-        )?;
+        let of = format!("the transform of camera `{label}`");
+        let [xx, xy, xz, x, yx, yy, yz, y, zx, zy, zz, z, last @ ..]: [f64; 16] =
+            numbers(path, &of, child_text(camera, "transform").unwrap_or(""))?;
+        check_last_row(path, &of, &last)?;
         let rotation = turn * by_rows([xx, xy, xz, yx, yy, yz, zx, zy, zz]);
         let centre = scale * (turn * DVec3::new(x, y, z)) + DVec3::from(shift);
         found.add(path, label.to_owned(), rotation, centre, optics)?;

@@ -13,7 +13,7 @@ use serde_json::Value;
 
 use super::{Found, Optics, refused};
 use crate::Tracks;
-use crate::error::{DatasetError, Result, read_text};
+use crate::error::{DatasetError, Result, not_json, read_text};
 use crate::finding::Kind;
 use crate::formats::source::RawPoints;
 
@@ -44,8 +44,8 @@ struct Point {
 /// # Errors
 /// [`DatasetError`] for JSON that is cut short, and for unknown lenses.
 pub(super) fn read(path: &Path) -> Result<Found> {
-    let json = |source| DatasetError::Json { path: path.to_owned(), source };
-    let mut all: Vec<Reconstruction> = serde_json::from_str(&read_text(path)?).map_err(json)?;
+    let text = read_text(path)?;
+    let mut all: Vec<Reconstruction> = serde_json::from_str(&text).map_err(|error| not_json(path, &text, &error))?;
     let largest = (0..all.len()).rev().max_by_key(|&index| all[index].shots.len());
     let mut found = Found::default();
     let Some(largest) = largest else { return Ok(found) };

@@ -166,6 +166,9 @@ fn metashape_projects_as_its_manual_says() {
     // little shear is said
     let folder = dataset(&[("cameras.xml", &xml.replace("<b1>", "<b2>0.2</b2><b1>"))]);
     assert_says(said(&load(folder.path(), &alone()).unwrap()), &["`b2` of sensor `A`, up to 0.08 px"]);
+    let transposed = xml.replace(IDENTITY, "<transform>1 0 0 0 0 1 0 0 0 0 1 0 2 3 4 1</transform>");
+    let folder = dataset(&[("cameras.xml", &transposed)]);
+    assert_refused(folder.path(), &alone(), &["the last row of the transform of camera `a`", "transposed?"]);
     // two cameras of one name
     let twice = xml.replace("<cameras>", &format!("<cameras><camera sensor_id='0' label='a'>{IDENTITY}</camera>"));
     let folder = dataset(&[("cameras.xml", &twice)]);
