@@ -25,7 +25,7 @@ use super::views::{DatasetViews, Views};
 use crate::RenderError;
 use crate::navigation::Mode;
 
-/// What would lose edits that are not saved.
+/// An action that would lose edits that are not saved.
 enum Leaving {
     Close,
     Open(PathBuf),
@@ -42,7 +42,7 @@ pub struct Viewer {
     /// Whether the user is asked what becomes of the training.
     closing: bool,
     may_close: bool,
-    /// What the user is asked about, while edits are not saved.
+    /// The action that the user is asked about, while edits are not saved.
     leaving: Option<Leaving>,
     failure: DeviceFailure,
 }

@@ -1,4 +1,4 @@
-//! What is made of many runs of [`dpges_train`], or of their scenes.
+//! Studies, blocks and levels of detail: made of many runs of [`dpges_train`], or of their scenes.
 //!
 //! A [`study`] trains and measures many; [`blocks`] splits a large capture into runs and joins their scenes; [`lod`] makes coarser
 //! levels of a scene.

@@ -317,7 +317,7 @@ impl Trainer {
     }
 }
 
-/// Of the camera that took a view, down to the last bit: text of numbers has all of them.
+/// The hash of the camera that took a view, down to the last bit: text of numbers has all of them.
 fn camera_hash(view: &View) -> u64 {
     Hash::of(format!("{:?}", view.camera).as_bytes())
 }

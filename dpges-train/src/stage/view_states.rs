@@ -1,4 +1,4 @@
-//! What a run learns of its training views beside the scene, in its context: exposures, poses; and their depth maps.
+//! States of the training views that a run learns beside the scene: exposures, poses; and their depth maps.
 
 use std::sync::Arc;
 

@@ -8,7 +8,7 @@ use dpges_core::ops::unpack::{pack, unpack};
 
 use crate::dataset::Picture;
 
-/// What a render is compared with.
+/// The photograph that a render is compared with.
 pub trait ToTarget {
     /// The picture on `device`, and which of its pixels count. It goes to a GPU with 8 bits per value.
     ///

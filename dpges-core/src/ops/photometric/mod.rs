@@ -28,7 +28,7 @@ use crate::scene::tensors::check_shape;
 const WINDOW: usize = 11;
 const RADIUS: usize = WINDOW / 2;
 const SIGMA_PX: f64 = 1.5;
-/// What keeps quotients of SSIM finite, for values from 0 to 1 (3DGS).
+/// Constants that keep the quotients of SSIM finite, for values from 0 to 1 (3DGS).
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 

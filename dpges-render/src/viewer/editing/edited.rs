@@ -16,7 +16,7 @@ pub struct EditedScene {
     scene: SceneData,
     /// Rows are surfels, then Gaussians.
     pub marks: Marks,
-    /// What was deleted when the scene was saved last.
+    /// The primitives that were deleted when the scene was saved last.
     saved: Vec<bool>,
 }
 
@@ -30,7 +30,7 @@ impl EditedScene {
         self.saved == self.marks.deleted()
     }
 
-    /// What is not deleted.
+    /// The primitives that are not deleted.
     pub fn kept(&self) -> SceneData {
         let (of_surfels, of_gaussians) = self.marks.deleted().split_at(self.scene.surfels.len());
         let rows = |deleted: &[bool]| -> Vec<usize> { (0..deleted.len()).filter(|&row| !deleted[row]).collect() };

@@ -1,4 +1,4 @@
-//! What is selected and what is deleted of the primitives of a scene, with undo and redo.
+//! Marks of the primitives of a scene, selected or deleted, with undo and redo.
 
 use std::collections::VecDeque;
 

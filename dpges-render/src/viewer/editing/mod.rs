@@ -26,7 +26,7 @@ pub enum Tool {
     Brush,
 }
 
-/// What the user asks for.
+/// An edit that the user asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Edit {
     /// Takes the tool, or lays it down.
@@ -46,7 +46,7 @@ pub struct Editing {
     /// `None` for scenes in levels of detail or in training, and before the first.
     pub scene: Option<EditedScene>,
     pub tool: Option<Tool>,
-    /// Of the brush, points.
+    /// Radius of the brush, points.
     pub radius: f32,
     /// Whether what a surface hides is left out.
     pub seen_only: bool,

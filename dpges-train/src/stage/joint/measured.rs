@@ -26,7 +26,7 @@ pub struct MeasuredPoints {
     sites: Sites,
     /// [N, 4] as in [`point_distance`].
     targets: Tensor<2>,
-    /// Of the loss, per world unit.
+    /// Weight of the loss, per world unit.
     weight: f64,
 }
 

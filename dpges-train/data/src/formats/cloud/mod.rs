@@ -25,7 +25,7 @@ use crate::{Tracks, sampled};
 
 /// Points that are kept at most, an order more than there are surfels.
 const MOST_POINTS: usize = 2_000_000;
-/// Of these, points that are looked up in pictures.
+/// Most points that are looked up in pictures.
 const LOOKED_UP: usize = 20_000;
 /// Median distance of the points of the dataset from the measured ones that is named, in extents.
 const FAR_OFF: f64 = 0.1;
