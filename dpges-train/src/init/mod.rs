@@ -4,6 +4,7 @@
 //! and an arm of `Init::by`. Most methods find [`placement::OrientedPoints`] on the surfaces of the scene, and [`placement`]
 //! turns these into primitives. [`promote`] turns trained discs into surfels.
 
+pub mod chance;
 pub mod flatten;
 pub mod fusion;
 pub mod placement;
@@ -18,6 +19,7 @@ pub mod sky_detection;
 use dpges_core::camera::Camera;
 use dpges_core::scene::{GaussianData, SurfelData};
 use glam::DVec3;
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Config, InitMethod};
@@ -25,7 +27,7 @@ use crate::dataset::{Dataset, PointCloud, View};
 use crate::refine::margins::margins;
 use placement::Placement;
 pub use placement::PrimitiveStart;
-use plane_sweep::{Acceptance, Volume};
+use plane_sweep::{Acceptance, Sweep, Volume};
 use region::Region;
 use silhouette::TOLERANCE;
 
@@ -35,6 +37,10 @@ const FEW_POINTS: usize = 3_000;
 const LEAST_SHARE_FOUND: f64 = 0.25;
 /// Compared points of a ray along the longest side of a region.
 const SAMPLES_OF_A_SIDE: usize = 192;
+/// Compared points of a ray where no points say where a scene is.
+const SAMPLES_OF_A_RAY: usize = 512;
+/// The distance of the nearest of these, relative to the extent of the cameras.
+const NEAREST: f64 = 0.2;
 
 /// The largest size of an initial scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,7 +87,7 @@ pub enum InitError {
 }
 
 /// The initial scene of a dataset, within the limits of `quota`, of primitives as large and opaque as `start` says.
-/// `init.method` "auto" starts from points if the dataset has some, else from silhouettes, else where views
+/// `init.method` "auto" starts from points if the dataset has some that are not random, else from silhouettes, else where views
 /// agree about colours, else from random Gaussians.
 ///
 /// # Errors
@@ -100,7 +106,8 @@ pub fn initialise(
     if config.init.method != InitMethod::Auto {
         return init.by(config.init.method, rng);
     }
-    for method in [InitMethod::Sfm, InitMethod::Silhouette, InitMethod::PlaneSweep] {
+    let measured = if init.points_look_random()? { None } else { Some(InitMethod::Sfm) };
+    for method in measured.into_iter().chain([InitMethod::Silhouette, InitMethod::PlaneSweep]) {
         match init.by(method, rng) {
             Err(InitError::NoPoints | InitError::NoSilhouettes) => {}
             Err(reason @ (InitError::EmptyHull | InitError::NoAgreement)) => tracing::warn!("{reason}"),
@@ -141,7 +148,9 @@ impl Init<'_> {
         let wanted = self.max_points().min(FEW_POINTS).saturating_sub(points.positions.len());
         if wanted > 0 {
             let region = Region::around(&points.positions).unwrap_or_else(|| in_sight(self.dataset));
-            let more = where_views_agree(self.dataset, region, wanted, rng)?;
+            let step = region.size().max_element() / SAMPLES_OF_A_SIDE as f64;
+            let around = Sweep::Volume(Volume { region, step, contains: &|_| true });
+            let more = where_views_agree(self.dataset, &around, wanted, rng)?;
             tracing::info!(
                 "{} points are few: {} more where views agree about a colour",
                 points.positions.len(),
@@ -150,6 +159,26 @@ impl Init<'_> {
             points.append(&more);
         }
         Ok(self.place(points, &centres(&self.dataset.train), rng))
+    }
+
+    /// Says so, too.
+    fn points_look_random(&self) -> Result<bool, InitError> {
+        let points = &self.dataset.points;
+        if !points.seen_by.are_unknown() {
+            return Ok(false);
+        }
+        // of its own, so that the draws of a start from points do not depend on this look at them
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let views: Vec<&View> = self.dataset.train.iter().collect();
+        let look_random = chance::looks_random(points, &views, &mut rng)?;
+        if look_random {
+            tracing::warn!(
+                "{} points agree with the photographs no better than random ones would (random points, or a cloud in another \
+                 frame than the cameras): started without them; `--set init.method=sfm` starts from them",
+                points.positions.len()
+            );
+        }
+        Ok(look_random)
     }
 
     fn by_silhouettes(&self, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
@@ -168,7 +197,9 @@ impl Init<'_> {
 
     fn by_agreement(&self, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
         let count = self.max_points().min(FEW_POINTS);
-        let points = where_views_agree(self.dataset, in_sight(self.dataset), count, rng)?;
+        let nearest = NEAREST * self.dataset.extent;
+        let anywhere = Sweep::Open { nearest, steps: SAMPLES_OF_A_RAY };
+        let points = where_views_agree(self.dataset, &anywhere, count, rng)?;
         if (points.positions.len() as f64) < LEAST_SHARE_FOUND * count as f64 {
             return Err(InitError::NoAgreement);
         }
@@ -203,17 +234,15 @@ pub fn surfels_at(points: PointCloud, dataset: &Dataset, config: &Config, rng: &
     placement::surfels(&sfm::orient(points, &centres(&dataset.train)), &Placement::new(config, dataset.extent), rng)
 }
 
-/// At most `count` points in `region` about which views agree.
+/// At most `count` points about which views agree.
 fn where_views_agree(
     dataset: &Dataset,
-    region: Region,
+    sweep: &Sweep<'_>,
     count: usize,
     rng: &mut ChaCha8Rng,
 ) -> Result<PointCloud, InitError> {
-    let step = region.size().max_element() / SAMPLES_OF_A_SIDE as f64;
     let views: Vec<&View> = dataset.train.iter().collect();
-    let volume = Volume { region, step, contains: &|_| true };
-    Ok(plane_sweep::draw(&views, &volume, Acceptance::DISTINCT, count, rng)?)
+    Ok(plane_sweep::draw(&views, sweep, Acceptance::DISTINCT, count, rng)?)
 }
 
 fn centres<'a>(views: impl IntoIterator<Item = &'a View>) -> Vec<DVec3> {
@@ -227,8 +256,6 @@ fn in_sight(dataset: &Dataset) -> Region {
 
 #[cfg(test)]
 mod tests {
-    use rand::SeedableRng;
-
     use super::*;
     use crate::dataset::{BuiltinOptions, Picture, Tracks, builtin};
 

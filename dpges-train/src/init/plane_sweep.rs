@@ -33,6 +33,17 @@ const NOT_SHOWN: f64 = 1.0;
 const TRIES: usize = 8;
 
 /// Where rays are followed.
+pub enum Sweep<'a> {
+    Volume(Volume<'a>),
+    /// To where next to nothing moves between views: the distances of the compared points of a ray from `nearest` (world
+    /// units) on have equal differences of their inverses, so that a neighbour sees equal steps.
+    Open {
+        nearest: f64,
+        steps: usize,
+    },
+}
+
+/// A part of space.
 pub struct Volume<'a> {
     pub region: Region,
     /// Distance between the compared points of a ray, world units.
@@ -78,7 +89,7 @@ struct Group<'a> {
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
 pub fn draw(
     views: &[&View],
-    volume: &Volume<'_>,
+    sweep: &Sweep<'_>,
     acceptance: Acceptance,
     count: usize,
     rng: &mut ChaCha8Rng,
@@ -93,7 +104,7 @@ pub fn draw(
         let (mut untried, _) = pixels.partial_shuffle(rng, TRIES * missing);
         while missing > 0 && !untried.is_empty() {
             let (tried, rest) = untried.split_at_mut(missing.min(untried.len()));
-            let surface = |&pixel: &usize| Some((pixel, group.surface(pixel, volume, acceptance)?));
+            let surface = |&pixel: &usize| Some((pixel, group.surface(pixel, sweep, acceptance)?));
             let found: Vec<(usize, DVec3)> = tried.par_iter().filter_map(surface).collect();
             missing -= found.len();
             untried = rest;
@@ -124,8 +135,8 @@ impl<'a> Group<'a> {
     }
 
     /// The nearest point on the ray of `pixel` that looks about as much alike as any.
-    fn surface(&self, pixel: usize, volume: &Volume<'_>, acceptance: Acceptance) -> Option<DVec3> {
-        let samples = self.samples(pixel, volume);
+    fn surface(&self, pixel: usize, sweep: &Sweep<'_>, acceptance: Acceptance) -> Option<DVec3> {
+        let samples = self.samples(pixel, sweep);
         let least = samples.iter().map(|sample| sample.difference).min_by(f64::total_cmp)?;
         let is_alike = |sample: &Sample| sample.difference <= least + EQUAL;
         let number = |of: &dyn Fn(&Sample) -> bool| samples.iter().filter(|sample| of(sample)).count() as f64;
@@ -138,19 +149,26 @@ impl<'a> Group<'a> {
         Some(alike[falls].position)
     }
 
-    fn samples(&self, pixel: usize, volume: &Volume<'_>) -> Vec<Sample> {
+    fn samples(&self, pixel: usize, sweep: &Sweep<'_>) -> Vec<Sample> {
         let centre = self.camera.centre();
         let (ray, patch) = self.patch(pixel);
-        let (a, b) = ((volume.region.low - centre) / ray, (volume.region.high - centre) / ray);
-        let (enter, leave) = (a.min(b).max_element().max(self.camera.near), a.max(b).min_element());
-        let distances = (0..).map(|step| enter + (f64::from(step) + 0.5) * volume.step);
-        let inside = distances.take_while(|&distance| distance < leave);
         let sample = |distance: f64| {
             let position = centre + distance * ray;
-            let is_inside = (volume.contains)(position);
-            is_inside.then(|| Sample { position, difference: self.difference(centre, distance, &patch) })
+            Sample { position, difference: self.difference(centre, distance, &patch) }
         };
-        inside.filter_map(sample).collect()
+        match *sweep {
+            Sweep::Volume(Volume { region, step, contains }) => {
+                let (a, b) = ((region.low - centre) / ray, (region.high - centre) / ray);
+                let (enter, leave) = (a.min(b).max_element().max(self.camera.near), a.max(b).min_element());
+                let distances = (0..).map(|at| enter + (f64::from(at) + 0.5) * step);
+                let inside = distances.take_while(|&distance| distance < leave);
+                inside.filter(|&distance| contains(centre + distance * ray)).map(sample).collect()
+            }
+            Sweep::Open { nearest, steps } => {
+                let share = |at: usize| (at as f64 + 0.5) / steps as f64;
+                (0..steps).map(|at| sample(nearest / (1.0 - share(at)))).collect()
+            }
+        }
     }
 
     /// The ray of a pixel, a unit vector, and the rays and colours of the pixels around it; these rays end on the plane
@@ -246,9 +264,12 @@ pub(super) mod tests {
     /// From 0.6 below to 0.6 above the floor.
     fn drawn(photos: &[View], acceptance: Acceptance, count: usize) -> PointCloud {
         let region = Region { low: DVec3::new(-1.0, -1.0, -0.6), high: DVec3::new(1.0, 1.0, 0.6) };
-        let volume = Volume { region, step: 0.03, contains: &|_| true };
+        swept(photos, &Sweep::Volume(Volume { region, step: 0.03, contains: &|_| true }), acceptance, count)
+    }
+
+    fn swept(photos: &[View], sweep: &Sweep<'_>, acceptance: Acceptance, count: usize) -> PointCloud {
         let views: Vec<&View> = photos.iter().collect();
-        draw(&views, &volume, acceptance, count, &mut ChaCha8Rng::seed_from_u64(2)).unwrap()
+        draw(&views, sweep, acceptance, count, &mut ChaCha8Rng::seed_from_u64(2)).unwrap()
     }
 
     /// The share of the points near the floor.
@@ -278,6 +299,17 @@ pub(super) mod tests {
         };
         let first = points.positions.iter().enumerate().take(20);
         assert!(first.map(|(row, at)| (at, points.seen_by.of(row))).all(shows_it));
+    }
+
+    #[test]
+    fn a_sweep_without_an_end_finds_surfaces_near_and_far() {
+        let photos = photos(mosaic, |_| false);
+        // 192 steps from 0.5 to 190 units; the floor is 3 to 9 away
+        let sweep = Sweep::Open { nearest: 0.5, steps: 192 };
+        let points = swept(&photos, &sweep, Acceptance::DISTINCT, 400);
+        assert!(points.positions.len() > 300 && near(&points) > 0.9, "{} {}", points.positions.len(), near(&points));
+        let nothing_is_that_near = Sweep::Open { nearest: 40.0, steps: 192 };
+        assert!(swept(&photos, &nothing_is_that_near, Acceptance::DISTINCT, 400).positions.len() < 40);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use glam::{DVec3, IVec3};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-use super::plane_sweep::{self, Acceptance, Volume};
+use super::plane_sweep::{self, Acceptance, Sweep, Volume};
 use super::region::Region;
 use crate::dataset::{PointCloud, View, pictures};
 
@@ -66,8 +66,8 @@ pub fn hull_points(
     let occupied = carve(&grid, views, tolerance)?;
     let contains = |position: DVec3| grid.index(position).is_some_and(|index| occupied[index]);
     let step = grid.region.size().max_element() / (2 * resolution) as f64;
-    let volume = Volume { region: grid.region, step, contains: &contains };
-    plane_sweep::draw(views, &volume, Acceptance::ALL, count, rng)
+    let sweep = Sweep::Volume(Volume { region: grid.region, step, contains: &contains });
+    plane_sweep::draw(views, &sweep, Acceptance::ALL, count, rng)
 }
 
 /// How many views show a voxel, and how many of these show it outside of their silhouettes.

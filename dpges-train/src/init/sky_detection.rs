@@ -207,7 +207,8 @@ fn open_cells(camera: &Camera, points: &[[f32; 3]], up: DVec3) -> OpenCells {
         .filter_map(|point| camera.project(DVec3::from_array(point.map(f64::from))).filter(inside))
         .collect();
     let cells = Cells::new(camera, seen.len());
-    let mut empty = vec![true; cells.columns * cells.rows];
+    // a view that sees no point says nothing, and would be one empty cell
+    let mut empty = vec![!seen.is_empty(); cells.columns * cells.rows];
     seen.iter().for_each(|&(x, y, _)| empty[cells.at(x, y)] = false);
     let mut open = cells.connected_with_top(&empty);
     let world_from_pixel = camera.world_from_pixel();
@@ -316,6 +317,7 @@ pub mod tests {
         let mut window = tower(20.0);
         window.retain(|point| !(3.0..9.0).contains(&point[2]));
         assert!(open_sky(&ring(0.0, window)).unwrap().share < 0.02);
-        assert_eq!(open_sky(&ring(0.0, Vec::new())).unwrap().share, 0.0, "without points nothing is known");
+        // cameras that look up
+        assert_eq!(open_sky(&ring(-3.0, Vec::new())).unwrap().share, 0.0, "without points nothing is known");
     }
 }

@@ -130,6 +130,10 @@ pub fn check_file(path: &Path) -> Result<(), Error> {
     if path.is_dir() {
         return Err(failed("cannot write", path)(std::io::ErrorKind::IsADirectory.into()));
     }
+    if !folder.is_dir() {
+        let absent = std::io::Error::other("it does not exist; make it, or name another");
+        return Err(failed("cannot write to the folder", folder)(absent));
+    }
     tempfile::Builder::new().prefix(".dpges-").tempfile_in(folder).map(drop).map_err(failed("cannot write", path))
 }
 
@@ -168,7 +172,8 @@ mod tests {
         let file = folder.path().join("file");
         std::fs::write(&file, "").unwrap();
         assert!(Hold::of_folder(&file.join("below")).unwrap_err().to_string().contains("below"));
-        assert!(check_file(&folder.path().join("absent/x.ply")).unwrap_err().to_string().contains("x.ply"));
+        let absent = check_file(&folder.path().join("absent/x.ply")).unwrap_err().to_string();
+        assert!(absent.contains("absent: it does not exist") && !absent.contains("x.ply"), "{absent}");
         check_file(&folder.path().join("x.ply")).unwrap();
     }
 
