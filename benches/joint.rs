@@ -22,7 +22,7 @@ use dpges_lab::study::spread::Spread;
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, View, builtin, load, pictures};
 use dpges_train::device::DeviceName;
-use dpges_train::eval::rendered::{Renderer, to_picture};
+use dpges_train::eval::rendered::{TrainingRenderer, to_picture};
 use dpges_train::run::Trainer;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -187,7 +187,7 @@ fn trained_gaussians(
 
 /// The pictures of `views` of a scene, and the kinds of their pixels.
 fn drawn(scene: &SceneData, views: &[View], device: &Device) -> Result<Vec<(Vec<u8>, Vec<PixelKind>)>> {
-    let renderer = Renderer::new(scene, device);
+    let renderer = TrainingRenderer::new(scene, device);
     let of_view = |view: &View| {
         let rendered = renderer.render(&view.camera)?;
         let (width, height) = (view.camera.width, view.camera.height);

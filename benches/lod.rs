@@ -13,7 +13,7 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::testing::scenes::realistic;
 use dpges_lab::lod::{CELL_PRIMITIVES, Options, describe, level, write};
 use dpges_train::device::DeviceName;
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 use dpges_train::run::scene::{Reading, Scene, every_nth};
 
 /// Cameras that levels are compared from, evenly chosen.
@@ -98,7 +98,7 @@ fn trained(arguments: &Arguments, run: &Path, folder: &Path) -> Outcome {
 
 /// For each of `sizes`, of which the next has half the sides, planes of the pictures of `scene`.
 fn pictures(scene: &SceneData, views: &[Camera], sizes: u32, device: &Device) -> Outcome<Vec<Vec<Vec<f32>>>> {
-    let renderer = Renderer::new(scene, device);
+    let renderer = TrainingRenderer::new(scene, device);
     let mut all = Vec::new();
     for size in 0..sizes {
         let small = |camera: &Camera| camera.resized(camera.width >> size, camera.height >> size);

@@ -17,7 +17,7 @@ use dpges_core::scene::SceneData;
 use dpges_core::testing::scenes::realistic;
 use dpges_lab::lod::{self, CELL_PRIMITIVES, Options};
 use dpges_render::stream::{Levels, Loader, Source, Stream, decode};
-use dpges_render::{CameraPath, Headless, RenderOptions, Renderer, Rgb8Image};
+use dpges_render::{CameraPath, Headless, RasterRenderer, RenderOptions, Rgb8Image};
 use dpges_train::eval::pictures::save_png;
 use dpges_train::metrics::flip;
 use glam::DVec3;
@@ -66,7 +66,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn picture(&self, renderer: &mut Renderer, camera: &Camera) -> Rgb8Image {
+    fn picture(&self, renderer: &mut RasterRenderer, camera: &Camera) -> Rgb8Image {
         self.headless.draw(renderer, camera, &self.options).expect("a picture")
     }
 
@@ -195,13 +195,13 @@ fn fly(
     bench: &Bench,
     mut stream: Stream,
     source: &Source,
-    renderer: &mut Renderer,
+    renderer: &mut RasterRenderer,
     flight: &[Camera],
     pictures: Option<&PathBuf>,
 ) -> [f64; 2] {
     let mut loads: VecDeque<(f64, usize)> = VecDeque::new();
     let mut free_at = 0.0;
-    let mut step = |stream: &mut Stream, renderer: &mut Renderer, camera: &Camera, now: f64| {
+    let mut step = |stream: &mut Stream, renderer: &mut RasterRenderer, camera: &Camera, now: f64| {
         while loads.front().is_some_and(|&(end, _)| end <= now) {
             let (_, cell) = loads.pop_front().expect("it has a front");
             let bytes = source.read(stream.part(cell)).expect("a cell");

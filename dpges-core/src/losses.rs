@@ -1,4 +1,4 @@
-//! The losses of DP-GES. Each is a function of tensors that returns a tensor `[1]`.
+//! The losses of DP-GES: functions of tensors that return a tensor `[1]`, or [`Losses`].
 
 pub mod depth;
 pub mod geometry;
@@ -10,7 +10,7 @@ mod tests;
 use burn::tensor::Tensor;
 
 use crate::error::Result;
-use crate::ops::photometric::{self, Photometric, PhotometricWeights};
+use crate::ops::photometric::{PhotometricWeights, photometric};
 use crate::ops::scale_loss::scale_loss;
 use crate::ops::surfel_loss::{SurfelLoss, SurfelLossWeights, surfel_loss};
 use crate::render::Render;
@@ -41,18 +41,12 @@ impl Default for LossWeights {
 ///
 /// # Errors
 /// [`crate::Error::Shape`] if the images differ in shape.
-pub fn rgb(image: Tensor<3>, target: impl Into<Target>, dssim_share: f64) -> Result<Tensor<1>> {
-    Ok(rgb_and_error(&image, &target.into(), dssim_share)?.value)
-}
-
-/// [`rgb`], and the mean squared error of the clamped image over the pixels that count.
-///
-/// # Errors
-/// The errors of [`rgb`].
-pub fn rgb_and_error(image: &Tensor<3>, target: &Target, dssim_share: f64) -> Result<Photometric> {
+pub fn rgb(image: &Tensor<3>, target: impl Into<Target>, dssim_share: f64) -> Result<Losses> {
+    let target = target.into();
     let weights = PhotometricWeights::l1_and_dssim(dssim_share);
     let weights = PhotometricWeights { pixels_per_counted: target.pixels_per_counted(), ..weights };
-    photometric::photometric(image, &target.image, target.ignored(), &weights)
+    let rgb = photometric(image, &target.image, target.ignored(), &weights)?;
+    Ok(Losses { total: rgb.value.clone(), terms: vec![("rgb", rgb.value)], squared_error: rgb.squared_error })
 }
 
 /// L_scale: the mean of exp(x), where x is the mean of a surfel's two scales divided by the mean scale of all surfels,
@@ -87,20 +81,27 @@ pub fn hidden(render: &Render, mask: Tensor<3>) -> Tensor<1> {
     ((shown * -1.0 + 1.0) * mask).mean()
 }
 
-/// The unweighted terms of the loss of one view, `[1]` each, and their weighted sum. Gradients come from `rgb` and `total`.
+/// The loss of one view, `[1]` each. Gradients come from `total`.
 #[derive(Clone, Debug)]
 pub struct Losses {
-    pub rgb: Tensor<1>,
-    pub surfel: Tensor<1>,
-    pub scale: Tensor<1>,
-    pub transmittance: Tensor<1>,
-    /// Weighted sum.
+    /// Weighted sum of the terms.
     pub total: Tensor<1>,
+    /// Name and value of each term, without its weight.
+    pub terms: Vec<(&'static str, Tensor<1>)>,
     /// Mean squared error of the clamped image over the pixels that count; no term.
     pub squared_error: Tensor<1>,
 }
 
-/// All terms for one rendered view. Terms of weight 0 are not part of the total, so no gradient flows through them.
+impl Losses {
+    /// Adds a term of this `value` `[1]` to the total, `weight` times.
+    pub fn add(&mut self, name: &'static str, value: Tensor<1>, weight: f64) {
+        self.total = self.total.clone() + value.clone() * weight;
+        self.terms.push((name, value));
+    }
+}
+
+/// The terms `rgb`, `surfel`, `scale` and `transmittance` of one rendered view. Terms of weight 0 are not part of the total, so
+/// no gradient flows through them.
 /// `log_scales` [N, 2] of the surfels, `target` [3, H, W]. Means over pixels are those over the pixels that count.
 ///
 /// # Errors
@@ -112,16 +113,15 @@ pub fn losses(
     weights: &LossWeights,
 ) -> Result<Losses> {
     let target = target.into();
-    let Photometric { value: rgb, squared_error } = rgb_and_error(&render.composite.image, &target, weights.dssim)?;
+    let mut losses = rgb(&render.composite.image, target.clone(), weights.dssim)?;
     let surfels = of_surfels(render, &target, weights)?;
     let scale = scale_loss(&log_scales, weights.scale);
-    let mut total = rgb.clone();
     if weights.surfel != 0.0 || weights.transmittance != 0.0 {
-        total = total + surfels.weighted;
+        losses.total = losses.total + surfels.weighted;
     }
     if weights.scale != 0.0 {
-        total = total + scale.weighted;
+        losses.total = losses.total + scale.weighted;
     }
-    let SurfelLoss { image: surfel, transmittance, .. } = surfels;
-    Ok(Losses { rgb, surfel, scale: scale.value, transmittance, total, squared_error })
+    losses.terms.extend([("surfel", surfels.image), ("scale", scale.value), ("transmittance", surfels.transmittance)]);
+    Ok(losses)
 }

@@ -67,6 +67,28 @@ pub enum Values {
     KnownFinite,
 }
 
+/// A view to render. Made from a [`Camera`] it has nothing but that.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewRequest<'a> {
+    pub camera: &'a Camera,
+    pub values: Values,
+    /// Receives the gradient of the camera.
+    pub pose: Option<&'a PoseProbe>,
+    /// Its gradient tells how much the picture wants each Gaussian to move: [M, 4] of blended ones, see
+    /// [`blend`](mod@crate::ops::blend), or [M, 2] of summed ones, see [`splat_probed`](crate::ops::splat::splat_probed).
+    /// Behind surfels there is none.
+    pub probe: Option<&'a Tensor<2>>,
+    /// Those over which Gaussians behind surfels are sharded: each renders its own. All get the same picture, and the whole
+    /// gradient of surfels and own Gaussians.
+    pub ranks: &'a dyn Ranks,
+}
+
+impl<'a> From<&'a Camera> for ViewRequest<'a> {
+    fn from(camera: &'a Camera) -> Self {
+        Self { camera, values: Values::Unknown, pose: None, probe: None, ranks: &Alone }
+    }
+}
+
 /// The part of `behind` that shows through `alpha` [1, H, W].
 fn shown(alpha: &Tensor<3>, behind: Tensor<3>) -> Tensor<3> {
     (alpha.clone() * -1.0 + 1.0) * behind
@@ -79,7 +101,7 @@ fn shown(alpha: &Tensor<3>, behind: Tensor<3>) -> Tensor<3> {
 pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Result<()> {
     surfels.check_shapes()?;
     gaussians.check_shapes()?;
-    let mut check = InputCheck::new(("surfels.positions", &surfels.positions));
+    let mut check = InputCheck::new("surfels.positions", &surfels.positions);
     check.add(surfels, values)?;
     check.add(gaussians, values)?;
     check_finite(check.checks)
@@ -91,7 +113,7 @@ pub fn validate(surfels: &Surfels, gaussians: &Gaussians, values: Values) -> Res
 /// The errors of [`validate`].
 pub fn validate_gaussians(gaussians: &Gaussians, values: Values) -> Result<()> {
     gaussians.check_shapes()?;
-    let mut check = InputCheck::new(("gaussians.positions", &gaussians.positions));
+    let mut check = InputCheck::new("gaussians.positions", &gaussians.positions);
     check.add(gaussians, values)?;
     check_finite(check.checks)
 }
@@ -104,7 +126,7 @@ struct InputCheck {
 
 impl InputCheck {
     /// All tensors must have the element type of `first`, and one that its device computes in.
-    fn new((name, first): (&str, &Tensor<2>)) -> Self {
+    fn new(name: &str, first: &Tensor<2>) -> Self {
         let dtype = first.dtype();
         let expected = if is_gpu(&first.device()) {
             "F32, what GPUs compute in".to_owned()
@@ -133,52 +155,25 @@ impl InputCheck {
     }
 }
 
-/// Renders `surfels` and `gaussians` from `camera` (DP-GES).
+/// Renders a view, of which a camera is enough, of `surfels` and `gaussians` (DP-GES).
 ///
 /// # Errors
 /// A typed error naming what does not fit: see [`validate`], [`Camera::validate`], [`PeelOptions::validate`]. Also
-/// [`Error::Capacity`].
-pub fn render(surfels: &Surfels, gaussians: &Gaussians, camera: &Camera, options: &RenderOptions) -> Result<Render> {
-    render_probed(surfels, gaussians, camera, None, options, Values::Unknown)
-}
-
-/// [`render`] for parameters whose `values` may be known to be finite, from the camera of a `probe`, which gradients then
-/// reach.
-///
-/// # Errors
-/// The errors of [`render`].
-pub fn render_probed(
+/// [`Error::Capacity`]. Where Gaussians are sharded, these are the errors of this rank alone.
+pub fn render<'a>(
     surfels: &Surfels,
     gaussians: &Gaussians,
-    camera: &Camera,
-    probe: Option<&PoseProbe>,
+    view: impl Into<ViewRequest<'a>>,
     options: &RenderOptions,
-    values: Values,
 ) -> Result<Render> {
-    render_on_ranks(surfels, gaussians, camera, probe, options, values, &Alone)
-}
-
-/// [`render_probed`] of a scene whose Gaussians are sharded over `ranks`: `gaussians` are those of this one. All ranks get the
-/// same picture, and the whole gradient of surfels and own Gaussians.
-///
-/// # Errors
-/// The errors of [`render`], of this rank alone.
-pub fn render_on_ranks(
-    surfels: &Surfels,
-    gaussians: &Gaussians,
-    camera: &Camera,
-    probe: Option<&PoseProbe>,
-    options: &RenderOptions,
-    values: Values,
-    ranks: &dyn Ranks,
-) -> Result<Render> {
+    let ViewRequest { camera, values, pose, ranks, .. } = view.into();
     camera.validate()?;
     options.peel.validate()?;
     validate(surfels, gaussians, values)?;
     let centre = camera.centre().to_array();
     let surfel_colours = colour(&surfels.colour, &surfels.positions, centre)?;
     let gaussian_colours = colour(&gaussians.colour, &gaussians.positions, centre)?;
-    let moved = probe.map(|probe| (probe.surfels(surfels), probe.gaussians(gaussians)));
+    let moved = pose.map(|probe| (probe.surfels(surfels), probe.gaussians(gaussians)));
     let (surfels, gaussians) = moved.as_ref().map_or((surfels, gaussians), |(surfels, gaussians)| (surfels, gaussians));
     let layers = peel(surfels, camera, &options.peel)?;
     let seen = visibility(&layers, &surfels.margins, options.peel.peeling)?;

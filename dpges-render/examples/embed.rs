@@ -2,7 +2,7 @@
 
 use dpges_core::camera::{Camera, CameraFromWorld};
 use dpges_core::scene::SceneData;
-use dpges_render::{RenderOptions, Renderer};
+use dpges_render::{RasterRenderer, RenderOptions};
 use eframe::{egui, wgpu};
 use glam::DVec3;
 
@@ -11,7 +11,7 @@ const SIZE: usize = 600;
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 
 struct Turntable {
-    renderer: Renderer,
+    renderer: RasterRenderer,
     options: RenderOptions,
     view: wgpu::TextureView,
     picture: egui::TextureId,
@@ -34,8 +34,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = SceneData::load(std::env::args_os().nth(1).ok_or("name a scene file")?.as_ref())?;
     let create = move |context: &eframe::CreationContext<'_>| -> Result<Box<dyn eframe::App>, _> {
         let gpu = context.wgpu_render_state.clone().ok_or("eframe draws without wgpu")?;
-        let (precision, depths) = (Renderer::best_precision(&gpu.device), Renderer::best_depths(&gpu.device));
-        let mut renderer = Renderer::new(&gpu.device, &gpu.queue, FORMAT, precision, depths)?;
+        let (precision, depths) =
+            (RasterRenderer::best_precision(&gpu.device), RasterRenderer::best_depths(&gpu.device));
+        let mut renderer = RasterRenderer::new(&gpu.device, &gpu.queue, FORMAT, precision, depths)?;
         renderer.upload(&scene)?;
         let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
             label: None,

@@ -10,7 +10,7 @@ use crate::error::{RenderError, Result};
 use crate::headless::{Headless, PICTURE_FORMAT};
 use crate::options::RenderOptions;
 use crate::percentile::percentiles;
-use crate::renderer::Renderer;
+use crate::renderer::RasterRenderer;
 use crate::texture::{size, texture};
 
 /// Times of frames, ms. A frame ends when the device has finished it, so that nothing of it overlaps with the next.
@@ -43,10 +43,10 @@ pub struct Rounds {
 /// Draws what `renderer` holds from each of `cameras`, again and again. `renderer` must render into [`PICTURE_FORMAT`].
 ///
 /// # Errors
-/// The errors of [`Renderer::render`]; [`RenderError::Device`] if the device stops to answer.
+/// The errors of [`RasterRenderer::render`]; [`RenderError::Device`] if the device stops to answer.
 pub fn frame_times(
     headless: &Headless,
-    renderer: &mut Renderer,
+    renderer: &mut RasterRenderer,
     cameras: &[Camera],
     options: &RenderOptions,
     rounds: Rounds,
@@ -82,7 +82,7 @@ pub fn frame_times(
 /// [`frame_times`] of `scene` with its own options, from `cameras` without their lenses.
 ///
 /// # Errors
-/// The errors of [`frame_times`] and of [`Renderer::upload`].
+/// The errors of [`frame_times`] and of [`RasterRenderer::upload`].
 pub fn scene_frame_times(
     headless: &Headless,
     scene: &SceneData,

@@ -7,7 +7,7 @@ use half::f16;
 use crate::error::{RenderError, Result};
 use crate::image::Rgb8Image;
 use crate::options::{DepthSource, Precision, RenderOptions};
-use crate::renderer::Renderer;
+use crate::renderer::RasterRenderer;
 
 /// An adapter and its device.
 #[derive(Clone, Debug)]
@@ -45,10 +45,10 @@ impl Headless {
     /// # Errors
     /// [`RenderError::Adapter`].
     pub fn on(adapter: &wgpu::Adapter) -> Result<Self> {
-        Renderer::check_adapter(adapter)?;
+        RasterRenderer::check_adapter(adapter)?;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("dpges"),
-            required_features: Renderer::required_features(adapter),
+            required_features: RasterRenderer::required_features(adapter),
             required_limits: adapter.limits(),
             ..wgpu::DeviceDescriptor::default()
         };
@@ -93,33 +93,33 @@ impl Headless {
     /// A renderer for [`picture`](Self::picture) with the best precision of the device.
     ///
     /// # Errors
-    /// The errors of [`Renderer::new`].
-    pub fn renderer(&self) -> Result<Renderer> {
+    /// The errors of [`RasterRenderer::new`].
+    pub fn renderer(&self) -> Result<RasterRenderer> {
         self.renderer_with(None)
     }
 
     /// [`renderer`](Self::renderer) with `precision`, if that is given.
     ///
     /// # Errors
-    /// The errors of [`Renderer::new`].
-    pub fn renderer_with(&self, precision: Option<Precision>) -> Result<Renderer> {
-        let precision = precision.unwrap_or_else(|| Renderer::best_precision(&self.device));
-        let depths = Renderer::best_depths(&self.device);
-        Renderer::new(&self.device, &self.queue, PICTURE_FORMAT, precision, depths)
+    /// The errors of [`RasterRenderer::new`].
+    pub fn renderer_with(&self, precision: Option<Precision>) -> Result<RasterRenderer> {
+        let precision = precision.unwrap_or_else(|| RasterRenderer::best_precision(&self.device));
+        let depths = RasterRenderer::best_depths(&self.device);
+        RasterRenderer::new(&self.device, &self.queue, PICTURE_FORMAT, precision, depths)
     }
 
     /// The picture of the scene that `renderer` holds, which must render into [`PICTURE_FORMAT`].
     ///
     /// # Errors
-    /// The errors of [`Renderer::render`]; [`RenderError::Device`] if it cannot be read back.
-    pub fn draw(&self, renderer: &mut Renderer, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
+    /// The errors of [`RasterRenderer::render`]; [`RenderError::Device`] if it cannot be read back.
+    pub fn draw(&self, renderer: &mut RasterRenderer, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
         renderer.picture(camera, options)
     }
 
     /// The picture of `scene` from `camera`.
     ///
     /// # Errors
-    /// The errors of [`Renderer::upload`] and [`draw`](Self::draw).
+    /// The errors of [`RasterRenderer::upload`] and [`draw`](Self::draw).
     pub fn picture(&self, scene: &SceneData, camera: &Camera, options: &RenderOptions) -> Result<Rgb8Image> {
         let mut renderer = self.renderer()?;
         renderer.upload(scene)?;
@@ -129,9 +129,9 @@ impl Headless {
     /// A renderer for [`planes`](Self::planes), with sums of `precision` and depths from `depths`.
     ///
     /// # Errors
-    /// The errors of [`Renderer::new`].
-    pub fn float_renderer(&self, precision: Precision, depths: DepthSource) -> Result<Renderer> {
-        Renderer::new(&self.device, &self.queue, self.floats, precision, depths)
+    /// The errors of [`RasterRenderer::new`].
+    pub fn float_renderer(&self, precision: Precision, depths: DepthSource) -> Result<RasterRenderer> {
+        RasterRenderer::new(&self.device, &self.queue, self.floats, precision, depths)
     }
 
     /// The planes [3, H, W] of a picture of the scene that `renderer` holds, not clamped and not rounded to bytes. It must be a
@@ -139,7 +139,7 @@ impl Headless {
     ///
     /// # Errors
     /// The errors of [`draw`](Self::draw).
-    pub fn planes(&self, renderer: &mut Renderer, camera: &Camera, options: &RenderOptions) -> Result<Vec<f32>> {
+    pub fn planes(&self, renderer: &mut RasterRenderer, camera: &Camera, options: &RenderOptions) -> Result<Vec<f32>> {
         let bytes = renderer.texels(camera, options)?;
         let numbers: Vec<f32> = if self.floats == wgpu::TextureFormat::Rgba32Float {
             bytemuck::pod_collect_to_vec(&bytes)

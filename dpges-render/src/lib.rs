@@ -1,6 +1,6 @@
 //! Real-time rendering of trained scenes on the graphics pipeline of any GPU, without compute shaders and without Burn.
 //!
-//! [`Renderer`] draws into a view of a texture of an application's own device; [`Headless`] makes pictures without a
+//! [`RasterRenderer`] draws into a view of a texture of an application's own device; [`Headless`] makes pictures without a
 //! window.
 //!
 //! ```no_run
@@ -80,5 +80,5 @@ pub use image::Rgb8Image;
 pub use options::{DepthSource, Display, MAX_LAYERS, Precision, RenderOptions};
 pub use path::CameraPath;
 pub use profile::PassTime;
-pub use renderer::{Renderer, check_drawn, check_drawn_as_trained};
+pub use renderer::{RasterRenderer, check_drawn, check_drawn_as_trained};
 pub use up::Up;

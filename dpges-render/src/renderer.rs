@@ -24,7 +24,7 @@ use crate::texture::{size, texels, texture};
 
 /// Draws one scene at a time. Works on any device of wgpu, with the limits of WebGL2.
 #[derive(Debug)]
-pub struct Renderer {
+pub struct RasterRenderer {
     device: wgpu::Device,
     queue: wgpu::Queue,
     format: wgpu::TextureFormat,
@@ -79,7 +79,7 @@ pub fn check_drawn_as_trained(info: &SceneInfo) -> Result<()> {
     }
 }
 
-impl Renderer {
+impl RasterRenderer {
     /// A renderer into views of `format`. A device without [`wgpu::Features::FLOAT32_BLENDABLE`] can do
     /// [`Precision::Half`] only.
     ///

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
 use dpges_core::scene::schema::{Attribute, Columns};
 use dpges_core::scene::{ColourModel, EnvironmentData, Footprint, GaussianData, SceneData, SceneInfo, SurfelData};
-use dpges_render::{DepthSource, Display, Headless, MAX_LAYERS, Precision, RenderOptions, Renderer};
+use dpges_render::{DepthSource, Display, Headless, MAX_LAYERS, Precision, RasterRenderer, RenderOptions};
 use glam::{DMat3, DVec3};
 use libtest_mimic::{Arguments, Failed, Trial};
 use safetensors::SafeTensors;
@@ -94,7 +94,7 @@ impl Golden {
 }
 
 fn can(headless: &Headless, precision: Precision) -> bool {
-    precision == Precision::Half || Renderer::best_precision(headless.device()) == precision
+    precision == Precision::Half || RasterRenderer::best_precision(headless.device()) == precision
 }
 
 /// dB over the pixels of [3, H, W] but the `left_out` worst.
@@ -158,7 +158,8 @@ fn agrees(headless: &Headless, path: &Path) -> Result<(), Failed> {
 
 fn order_does_not_matter(headless: &Headless) -> Result<(), Failed> {
     // a sum of halves depends on its order in the last place of 11 bits
-    let (precision, depths) = (Renderer::best_precision(headless.device()), Renderer::best_depths(headless.device()));
+    let (precision, depths) =
+        (RasterRenderer::best_precision(headless.device()), RasterRenderer::best_depths(headless.device()));
     let tolerance = if precision == Precision::Float { 1e-5 } else { 4e-3 };
     let mut renderer = headless.float_renderer(precision, depths)?;
     for path in files() {
@@ -198,7 +199,7 @@ fn surfels_at_one_depth_mix(headless: &Headless) -> Result<(), Failed> {
     let [rim, green, blue] = [0, 1, 2];
     // a colour is 0.5 + Y0 base
     let y0 = 0.282_094_791_773_878_14;
-    let mut renderer = headless.float_renderer(Precision::Half, Renderer::best_depths(headless.device()))?;
+    let mut renderer = headless.float_renderer(Precision::Half, RasterRenderer::best_depths(headless.device()))?;
     for order in [[rim, green, blue], [blue, rim, green], [green, blue, rim]] {
         let scene = SceneData {
             info: info.clone(),

@@ -5,7 +5,7 @@ use dpges_core::backend::device::largest_buffer;
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::render::blended::{BlendedOptions, render_blended};
 use dpges_core::render::room::Drawn;
-use dpges_core::render::{RenderOptions, Values, render};
+use dpges_core::render::{RenderOptions, ViewRequest, render};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::detail_to_rows;
 use dpges_core::scene::{BlendOrder, ColourModel, HIGHEST_ALPHA, ScreenFilter, Transparency};
@@ -35,7 +35,8 @@ fn step(scene: &TestScene, drawn: Drawn, device: &Device) -> Result<[Vec<f32>; 2
                 BlendOptions { form, order, filter, maps: true, max_alpha: HIGHEST_ALPHA, ..BlendOptions::default() };
             let options = BlendedOptions { blend: maps, background: [0.0; 3] };
             let probe = gaussians.quaternions.clone().inner().zeros_like().autodiff().require_grad();
-            let out = render_blended(&gaussians, Some(&probe), &scene.camera, &options, Values::Unknown)?;
+            let view = ViewRequest { probe: Some(&probe), ..(&scene.camera).into() };
+            let out = render_blended(&gaussians, view, &options)?;
             let maps = out.blend.maps.expect("asked for");
             (out.image.clone(), out.image.sum() + maps.normal.sum() + maps.distortion.sum())
         }

@@ -5,7 +5,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{Peeling, SceneData};
 use dpges_core::testing::scenes::realistic;
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 use glam::DVec3;
 
 use crate::training;
@@ -64,7 +64,7 @@ pub fn check<E>(name: &str, scene: &SceneData, jumps: impl Fn(&SceneData) -> Res
 pub fn nothing_jumps_along_a_path(device: &Device) {
     for (name, scene, path) in scenes() {
         let of = |scene: &SceneData| {
-            let renderer = Renderer::new(scene, device);
+            let renderer = TrainingRenderer::new(scene, device);
             jumps(&path, |camera| Ok(tensor_to_rows(renderer.render(camera)?.image())))
         };
         check::<dpges_core::Error>(name, &scene, of).unwrap();

@@ -6,7 +6,7 @@ use dpges_core::ops::blend::Form;
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::blended::render_blended;
-use dpges_core::render::{Render, RenderOptions, Values, render};
+use dpges_core::render::{Render, RenderOptions, render};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::{ColourModel, Footprint, GaussianData, Gaussians, Peeling, SurfelData, Surfels};
 use dpges_core::testing::compare::relative_l2;
@@ -104,8 +104,7 @@ pub fn each_of_a_million_has_its_pixel(device: &Device, dtype: DType) {
 
     for form in [Form::Ellipsoids, Form::Discs] {
         let (surfels, gaussians) = scene.leaves(&device.clone().autodiff(), dtype);
-        let alpha =
-            render_blended(&gaussians, None, &scene.camera, &blended(form), Values::Unknown).unwrap().blend.alpha;
+        let alpha = render_blended(&gaussians, &scene.camera, &blended(form)).unwrap().blend.alpha;
         assert!(values(&alpha).iter().all(|alpha| *alpha > 0.2 && *alpha < 1.0), "{form:?}: alpha");
         let gradients = alpha.sum().backward();
         assert_gradients_are_finite(&format!("a million, {form:?}"), (&surfels, &gaussians), &gradients);
@@ -188,7 +187,7 @@ fn outcome(what: &str, scene: &TestScene, device: &Device, dtype: DType) -> Vec<
             if is_peeled {
                 return render(&surfels, &gaussians, camera, &RenderOptions::default()).map(|r| r.composite.image);
             }
-            render_blended(&gaussians, None, camera, &blended(Form::Ellipsoids), Values::Unknown).map(|r| r.image)
+            render_blended(&gaussians, camera, &blended(Form::Ellipsoids)).map(|r| r.image)
         };
         let kind = if is_peeled { "peeled" } else { "blended" };
         let image = with_equal_corners(&format!("{what}, {kind}"), &scene.camera, draw).unwrap();

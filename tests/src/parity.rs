@@ -6,7 +6,7 @@ use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::ops::unpack::{pack, unpack};
 use dpges_core::render::blended::{BlendedOptions, render_blended};
-use dpges_core::render::{RenderOptions, Values, render};
+use dpges_core::render::{RenderOptions, render};
 use dpges_core::scene::{
     BlendOrder, ColourModel, DepthWeight, Footprint, HIGHEST_ALPHA, Peeling, ScreenFilter, Transparency,
 };
@@ -325,7 +325,7 @@ pub fn what_no_buffer_holds_is_refused_by_name(device: &Device) {
     let (surfels, gaussians) = scene.leaves(&device.clone().autodiff(), DType::F32);
     let options = BlendedOptions { blend: BlendOptions::default(), background: [0.0; 3] };
     let peeled = || render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).map(|r| r.composite.image);
-    let blended = || render_blended(&gaussians, None, &scene.camera, &options, Values::Unknown).map(|r| r.image);
+    let blended = || render_blended(&gaussians, &scene.camera, &options).map(|r| r.image);
     let [before_peeled, before_blended] = [peeled().unwrap(), blended().unwrap()];
     for (what, forward) in [("peeled", &peeled as &dyn Fn() -> dpges_core::Result<Tensor<3>>), ("blended", &blended)] {
         // too large are the layers and, with room for them, the sums; the lists and, with room for them, the planes

@@ -4,7 +4,7 @@ use burn::tensor::{DType, Device};
 use dpges_core::Error;
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::render::blended::{BlendedOptions, render_blended};
-use dpges_core::render::{RenderOptions, Values, render, render_probed};
+use dpges_core::render::{RenderOptions, Values, ViewRequest, render};
 use dpges_core::scene::schema::{Attribute, Columns, GaussianColumns, SurfelColumns};
 use dpges_core::scene::{GaussianData, SurfelData};
 use dpges_core::testing::golden::values;
@@ -53,7 +53,7 @@ pub fn poisoned_numbers_are_named_with_their_row(device: &Device, dtype: DType) 
         check(render(&surfels, &gaussians, &scene.camera, &RenderOptions::default()).unwrap_err());
         if GaussianData::ATTRIBUTES.contains(attribute) {
             for form in [Form::Ellipsoids, Form::Discs] {
-                check(render_blended(&gaussians, None, &scene.camera, &blended(form), Values::Unknown).unwrap_err());
+                check(render_blended(&gaussians, &scene.camera, &blended(form)).unwrap_err());
             }
         }
     }
@@ -63,15 +63,14 @@ pub fn poisoned_numbers_are_named_with_their_row(device: &Device, dtype: DType) 
 /// and what is rendered afterwards is as before.
 pub fn poisoned_numbers_that_nobody_looked_at_do_no_harm(device: &Device, dtype: DType) {
     let device = device.clone().autodiff();
-    let known = Values::KnownFinite;
     let run = |scene: &TestScene| {
         let (surfels, gaussians) = scene.leaves(&device, dtype);
-        let peeled =
-            render_probed(&surfels, &gaussians, &scene.camera, None, &RenderOptions::default(), known).unwrap();
+        let view = ViewRequest { values: Values::KnownFinite, ..(&scene.camera).into() };
+        let peeled = render(&surfels, &gaussians, view, &RenderOptions::default()).unwrap();
         let mut found = vec![values(&peeled.composite.image)];
         let mut gradients = vec![peeled.composite.image.sum().backward()];
         for form in [Form::Ellipsoids, Form::Discs] {
-            let image = render_blended(&gaussians, None, &scene.camera, &blended(form), known).unwrap().image;
+            let image = render_blended(&gaussians, view, &blended(form)).unwrap().image;
             found.push(values(&image));
             gradients.push(image.sum().backward());
         }

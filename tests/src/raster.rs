@@ -8,11 +8,11 @@ use std::sync::{Arc, OnceLock};
 use dpges_core::camera::Camera;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{EnvironmentData, Footprint, Peeling, Rendering, SceneData};
-use dpges_render::{CameraPath, Headless, MAX_LAYERS, Precision, RenderError, RenderOptions, Up};
+use dpges_render::{CameraPath, Headless, MAX_LAYERS, Precision, RasterRenderer, RenderError, RenderOptions, Up};
 use dpges_train::config::Config;
 use dpges_train::dataset::{BuiltinOptions, Dataset, builtin};
 use dpges_train::eval::popping::Frame;
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 use libtest_mimic::{Failed, Trial};
 
 use crate::devices::flex;
@@ -87,10 +87,10 @@ fn psnr(found: &[f32], expected: &[f32]) -> f64 {
 }
 
 fn compare(headless: &Headless, name: &str, scene: &SceneData) -> Result<(), Failed> {
-    let renderer = Renderer::new(scene, &flex());
+    let renderer = TrainingRenderer::new(scene, &flex());
     let options = RenderOptions::from(&scene.info);
-    let best = dpges_render::Renderer::best_precision(headless.device());
-    let depths = dpges_render::Renderer::best_depths(headless.device());
+    let best = RasterRenderer::best_precision(headless.device());
+    let depths = RasterRenderer::best_depths(headless.device());
     let can = |&(precision, _): &(Precision, f64)| precision == Precision::Half || best == precision;
     let with = |(precision, least)| {
         let mut own = headless.float_renderer(precision, depths)?;
@@ -163,8 +163,8 @@ fn scenes_before_an_environment_look_the_same(headless: &Headless) -> Result<(),
             let name = format!("{}, environment of degree {degree}", scene.info.rendering);
             compare(headless, &name, &scene)?;
             let [camera, ..] = cameras(&scene)[..] else { unreachable!("there are held-out cameras") };
-            let own = tensor_to_rows(Renderer::new(&scene, &flex()).render(&camera)?.image());
-            let without = tensor_to_rows(Renderer::new(&bare, &flex()).render(&camera)?.image());
+            let own = tensor_to_rows(TrainingRenderer::new(&scene, &flex()).render(&camera)?.image());
+            let without = tensor_to_rows(TrainingRenderer::new(&bare, &flex()).render(&camera)?.image());
             assert!(psnr(&own, &without) < 30.0, "{name}: little of it is seen");
         }
     }
@@ -194,9 +194,9 @@ fn nothing_pops_along_a_path(headless: &Headless) -> Result<(), Failed> {
     let keys: Vec<Camera> = dataset().train.iter().map(|view| view.camera.resized(96, 96)).collect();
     // a slow turn, as someone who looks around makes it
     let path: Vec<Camera> = CameraPath::orbit(&keys, Up::Z)?.frames(8 * FRAMES).into_iter().take(FRAMES).collect();
-    let surfels = Renderer::new(scene, &flex());
-    let best = dpges_render::Renderer::best_precision(headless.device());
-    let depths = dpges_render::Renderer::best_depths(headless.device());
+    let surfels = TrainingRenderer::new(scene, &flex());
+    let best = RasterRenderer::best_precision(headless.device());
+    let depths = RasterRenderer::best_depths(headless.device());
     let sorted = trained(60, &["train.method=mcmc"]);
     let frames = |shown: &SceneData| {
         let mut own = headless.float_renderer(best, depths)?;
@@ -230,8 +230,8 @@ fn nothing_pops_along_a_path(headless: &Headless) -> Result<(), Failed> {
 }
 
 fn nothing_jumps_along_a_path(headless: &Headless) -> Result<(), Failed> {
-    let best = dpges_render::Renderer::best_precision(headless.device());
-    let depths = dpges_render::Renderer::best_depths(headless.device());
+    let best = RasterRenderer::best_precision(headless.device());
+    let depths = RasterRenderer::best_depths(headless.device());
     for (name, scene, path) in jumps::scenes() {
         jumps::check(name, &scene, |scene| {
             let mut own = headless.float_renderer(best, depths)?;

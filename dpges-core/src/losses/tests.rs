@@ -21,7 +21,7 @@ fn what_a_photograph_shows_where_pixels_do_not_count_is_of_no_effect() {
     let of = |photograph: &[f64]| {
         let shown = image(&shown);
         let target = Target { image: image(photograph).detach(), mask: Some(mask(&counted())) };
-        let loss = rgb(shown.clone(), target, 0.2).unwrap();
+        let loss = rgb(&shown, target, 0.2).unwrap().total;
         (values(&loss), values(&shown.grad(&loss.backward()).unwrap()))
     };
     let (loss, gradient) = of(&photograph);
@@ -62,14 +62,14 @@ fn a_packed_mask_is_the_mask_to_the_bit() {
 fn means_are_those_over_the_pixels_that_count() {
     let (shown, photograph) = (vec![0.5; 3 * AREA], vec![0.25; 3 * AREA]);
     let target = |counted: &[bool]| Target { image: image(&photograph).detach(), mask: Some(mask(counted)) };
-    let loss = rgb(image(&shown), target(&counted()), 0.0).unwrap();
+    let loss = rgb(&image(&shown), target(&counted()), 0.0).unwrap().total;
     approx::assert_relative_eq!(values(&loss)[0], 0.25, max_relative = 1e-12);
 
     let mut random = Random::new(4);
     let [shown, photograph] = [0; 2].map(|_| random.numbers(3 * AREA, 0.0, 1.0));
     let all = Target { image: image(&photograph).detach(), mask: Some(mask(&[true; AREA])) };
-    let plain = rgb(image(&shown), image(&photograph).detach(), 0.2).unwrap();
-    assert_eq!(values(&rgb(image(&shown), all.clone(), 0.2).unwrap()), values(&plain));
+    let plain = rgb(&image(&shown), image(&photograph).detach(), 0.2).unwrap().total;
+    assert_eq!(values(&rgb(&image(&shown), all, 0.2).unwrap().total), values(&plain));
 }
 
 /// A loss of a view of some surfels and Gaussians and their log-scales, and its gradient with respect to positions of surfels.

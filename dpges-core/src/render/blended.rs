@@ -2,9 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::pose::PoseProbe;
-use super::{Values, shown, validate_gaussians};
-use crate::camera::Camera;
+use super::{ViewRequest, shown, validate_gaussians};
 use crate::counters::transfers::uploaded;
 use crate::error::{Error, Result};
 use crate::ops::blend::{Blend, BlendOptions, Form, blend};
@@ -60,47 +58,22 @@ impl BlendedRender {
     }
 }
 
-/// Renders `gaussians` from `camera`, nearest first. Colours below 0 count as 0 (3DGS). The gradient of `probe` [M, 4]
-/// tells how much the picture wants each of them to move, see [`blend()`].
+/// Renders a view, of which a camera is enough, of `gaussians`, nearest first. Colours below 0 count as 0 (3DGS).
 ///
 /// # Errors
-/// A typed error naming what does not fit: see [`validate_gaussians`], [`Camera::validate`], [`BlendOptions::validate`].
-/// Also [`Error::Capacity`].
-pub fn render_blended(
+/// A typed error naming what does not fit: see [`validate_gaussians`], [`validate`](crate::camera::Camera::validate),
+/// [`BlendOptions::validate`]. Also [`Error::Capacity`].
+pub fn render_blended<'a>(
     gaussians: &Gaussians,
-    probe: Option<&Tensor<2>>,
-    camera: &Camera,
+    view: impl Into<ViewRequest<'a>>,
     options: &BlendedOptions,
-    values: Values,
 ) -> Result<BlendedRender> {
-    render_blended_probed(gaussians, Probes { gaussians: probe, pose: None }, camera, options, values)
-}
-
-/// Tensors that change nothing, and whose gradients are wanted.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Probes<'a> {
-    /// [M, 4], see [`blend()`].
-    pub gaussians: Option<&'a Tensor<2>>,
-    /// Receives the gradient of the camera.
-    pub pose: Option<&'a PoseProbe>,
-}
-
-/// [`render_blended`] with `probes` of both kinds.
-///
-/// # Errors
-/// The errors of [`render_blended`].
-pub fn render_blended_probed(
-    gaussians: &Gaussians,
-    probes: Probes<'_>,
-    camera: &Camera,
-    options: &BlendedOptions,
-    values: Values,
-) -> Result<BlendedRender> {
+    let ViewRequest { camera, values, pose, probe, .. } = view.into();
     camera.validate()?;
     validate_gaussians(gaussians, values)?;
     let colours = colour(&gaussians.colour, &gaussians.positions, camera.centre().to_array())?.clamp_min(0.0);
-    let moved = probes.pose.map(|probe| probe.gaussians(gaussians));
-    let blend = blend(moved.as_ref().unwrap_or(gaussians), &colours, probes.gaussians, camera, &options.blend)?;
+    let moved = pose.map(|probe| probe.gaussians(gaussians));
+    let blend = blend(moved.as_ref().unwrap_or(gaussians), &colours, probe, camera, &options.blend)?;
     let image = if options.background == [0.0; 3] {
         blend.colour.clone()
     } else {

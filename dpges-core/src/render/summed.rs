@@ -3,8 +3,7 @@
 
 use burn::tensor::{DType, Device, Tensor};
 
-use super::blended::Probes;
-use super::{Values, shown, validate_gaussians};
+use super::{ViewRequest, shown, validate_gaussians};
 use crate::camera::Camera;
 use crate::counters::transfers::uploaded;
 use crate::error::{Error, Result};
@@ -78,30 +77,26 @@ impl SummedRender {
     }
 }
 
-/// Renders `gaussians` from `camera`, in any order: the formula of [`WeightedSum`]. Colours below 0 count as 0 (3DGS), and
+/// Renders a view, of which a camera is enough, of `gaussians`, in any order: the formula of [`WeightedSum`]. Colours below 0 count as 0 (3DGS), and
 /// so do factors of opacities. α w below 1/255 counts as 0, as in the published code of the method. The low-pass filter is
 /// that of 3DGS. Depths of the centres carry gradients to positions and to what is `common`; directions carry none.
-///
-/// The gradient of the probe of the Gaussians, [M, 2], tells how much the picture wants each of them to move, see
-/// [`splat_probed`].
 ///
 /// # Errors
 /// A typed error naming what does not fit: see [`validate_gaussians`], [`Camera::validate`]. [`Error::Shape`] if opacities do
 /// not depend on the direction. Also [`Error::Capacity`].
-pub fn render_summed(
+pub fn render_summed<'a>(
     gaussians: &Gaussians,
     common: &WeightedSumTensors,
-    probes: Probes<'_>,
-    camera: &Camera,
+    view: impl Into<ViewRequest<'a>>,
     options: &SummedOptions,
-    values: Values,
 ) -> Result<SummedRender> {
+    let ViewRequest { camera, values, pose, probe, .. } = view.into();
     camera.validate()?;
     validate_gaussians(gaussians, values)?;
     let centre = camera.centre().to_array();
     let colours = colour(&gaussians.colour, &gaussians.positions, centre)?.clamp_min(0.0);
     let factors = harmonics(&gaussians.opacity_base, &gaussians.opacity_detail, &gaussians.positions, centre)?;
-    let mut gaussians = probes.pose.map_or_else(|| gaussians.clone(), |probe| probe.gaussians(gaussians));
+    let mut gaussians = pose.map_or_else(|| gaussians.clone(), |probe| probe.gaussians(gaussians));
     let depths = if gaussians.is_empty() { factors.clone() } else { depths(&gaussians.positions, camera) };
     // not by kernels, which some devices refuse to launch over nothing
     if !gaussians.is_empty() {
@@ -117,7 +112,7 @@ pub fn render_summed(
     };
     let splat =
         |colours: &Tensor<2>, probe| splat_probed(&gaussians, colours, &everywhere, probe, camera, ScreenFilter::Plain);
-    let sums = splat(&colours, probes.gaussians)?;
+    let sums = splat(&colours, probe)?;
     let background = common.background.clone().clamp_min(WeightedSum::LEAST_BACKGROUND).reshape([1, 1, 1]);
     let total = planes(sums.clone(), 3, 1) + background;
     let alpha = planes(sums.clone(), 3, 1) / total.clone();

@@ -265,7 +265,7 @@ impl GoldenCase {
     fn total(&self, inputs: &Inputs) -> Tensor<1> {
         let rendered = self.render(inputs, false);
         if inputs.surfels.is_empty() {
-            return losses::rgb(rendered.composite.image, inputs.target.clone(), 0.2).expect("shapes agree");
+            return losses::rgb(&rendered.composite.image, inputs.target.clone(), 0.2).expect("shapes agree").total;
         }
         self.terms(&rendered, inputs).total
     }
@@ -335,13 +335,10 @@ impl Found<'_> {
 
     fn losses(&mut self, rendered: &Render, inputs: &Inputs) {
         let case = self.case;
-        let image = || rendered.composite.image.clone();
-        self.compare("loss.rgb", &values(&losses::rgb(image(), inputs.target.clone(), 0.2).expect("shapes agree")));
-        self.compare("loss.ssim", &values(&ssim(&image(), &inputs.target).expect("shapes agree")));
-        let terms = case.terms(rendered, inputs);
-        self.compare("loss.surfel", &values(&terms.surfel));
-        self.compare("loss.transmittance", &values(&terms.transmittance));
-        self.compare("loss.scale", &values(&terms.scale));
+        self.compare("loss.ssim", &values(&ssim(&rendered.composite.image, &inputs.target).expect("shapes agree")));
+        for (name, value) in case.terms(rendered, inputs).terms {
+            self.compare(&format!("loss.{name}"), &values(&value));
+        }
         self.compare("loss.total", &values(&case.total(inputs)));
     }
 

@@ -30,8 +30,7 @@ use crate::ops::scale_loss::scale_loss;
 use crate::ops::splat::{contributions, splat};
 use crate::ops::surfel_loss::{SurfelLossWeights, surfel_loss};
 use crate::ops::visibility::{Visibility, visibility};
-use crate::render::Values;
-use crate::render::blended::Probes;
+use crate::render::ViewRequest;
 use crate::render::summed::{SummedOptions, WeightedSumTensors, render_summed};
 use crate::scene::schema::Columns;
 use crate::scene::{DepthWeight, Gaussians, Peeling, Surfels};
@@ -436,9 +435,8 @@ impl<'a> Bench<'a> {
             let number = |value: f64| self.tensor(&[value], [1, 1]).require_grad();
             let common = WeightedSumTensors { sigma: number(sigma), beta: number(1.3), background: number(0.05) };
             let probe = self.tensor(&vec![0.0; 2 * gaussians.len()], [gaussians.len(), 2]).require_grad();
-            let probes = Probes { gaussians: Some(&probe), pose: None };
-            let camera = &self.scene.camera;
-            let view = render_summed(&gaussians, &common, probes, camera, &options, Values::Unknown);
+            let view = ViewRequest { probe: Some(&probe), ..(&self.scene.camera).into() };
+            let view = render_summed(&gaussians, &common, view, &options);
             let view = view.expect("valid input");
             let output = match name {
                 "image" => view.image,

@@ -12,7 +12,7 @@ use crate::error::Result;
 use crate::losses::{self, LossWeights, losses};
 use crate::ops::blend::{BlendOptions, Form};
 use crate::render::blended::{BlendedOptions, render_blended};
-use crate::render::{RenderOptions, Values, render};
+use crate::render::{RenderOptions, render};
 use crate::scene::schema::Columns;
 use crate::scene::{Gaussians, ScreenFilter, Surfels};
 
@@ -184,8 +184,8 @@ fn differentiate(
     };
     let blend = BlendOptions { form, filter, ..BlendOptions::default() };
     let options = BlendedOptions { blend, background: [0.2, 0.4, 0.6] };
-    let rendered = render_blended(gaussians, None, camera, &options, Values::Unknown)?;
-    let gradients = losses::rgb(rendered.image.clone(), target, LossWeights::default().dssim)?.backward();
+    let rendered = render_blended(gaussians, camera, &options)?;
+    let gradients = losses::rgb(&rendered.image, target, LossWeights::default().dssim)?.total.backward();
     let mut found = vec![(IMAGE, values(&rendered.image))];
     found.extend(gradients_of(gaussians, &gradients));
     Ok(found)

@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use dpges_core::scene::SceneData;
 
-use super::Renderer;
+use super::RasterRenderer;
 use crate::error::Result;
 use crate::scene::{Fades, PackedCell, Places, SceneTextures, joined};
 
-impl Renderer {
+impl RasterRenderer {
     /// Takes, in place of what was there, a scene of which nothing is there yet but what all cells share, with room for as
     /// many surfels and Gaussians. `coarse` gives the range of depths.
     ///

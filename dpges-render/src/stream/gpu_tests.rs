@@ -9,16 +9,16 @@ use dpges_core::scene::lod::Index;
 use super::fixtures::{camera, filled, forest, write};
 use super::residency::FADE_S;
 use super::{Levels, Loader, Source, Stream, decode};
-use crate::{DepthSource, Headless, Precision, RenderOptions, Renderer};
+use crate::{DepthSource, Headless, Precision, RasterRenderer, RenderOptions};
 
 const EYE: [f64; 3] = [0.2, 0.1, -3.0];
 
-fn renderer(headless: &Headless) -> Renderer {
+fn renderer(headless: &Headless) -> RasterRenderer {
     headless.float_renderer(Precision::Float, DepthSource::Computed).unwrap()
 }
 
 /// Numbers of a picture, four for each pixel.
-fn numbers(renderer: &mut Renderer, index: &Index) -> Vec<f32> {
+fn numbers(renderer: &mut RasterRenderer, index: &Index) -> Vec<f32> {
     let texels = renderer.texels(&camera(EYE), &RenderOptions::from(&index.settings)).unwrap();
     bytemuck::pod_collect_to_vec(&texels)
 }
@@ -62,7 +62,7 @@ fn the_finest_cut_is_the_scene_and_the_first_the_coarsest_level() {
     let mut streamed = renderer(&headless);
     let mut loader = Loader::new(Levels::open(folder.path(), budget).unwrap(), &mut streamed, || {}).unwrap();
     let mut expected = renderer(&headless);
-    let mut compare = |streamed: &mut Renderer, level: u32| {
+    let mut compare = |streamed: &mut RasterRenderer, level: u32| {
         expected.upload(&whole(folder.path(), &index, level)).unwrap();
         assert_eq!(streamed.surfel_count(), expected.surfel_count());
         assert_eq!(streamed.gaussian_count(), expected.gaussian_count());

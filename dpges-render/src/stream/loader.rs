@@ -10,7 +10,7 @@ use dpges_core::scene::lod::Index;
 
 use super::residency::FADE_S;
 use super::{LoadedCell, LodScene, Source, Stream, StreamError, StreamStatus, decode};
-use crate::renderer::Renderer;
+use crate::renderer::RasterRenderer;
 
 /// Most threads: servers answer few requests of one reader at a time.
 const THREADS: usize = 4;
@@ -62,7 +62,7 @@ impl Loader {
     /// Shows `levels` in `renderer`. Calls `wake` whenever a cell has come.
     pub fn new(
         Levels { source, scene, budget, .. }: Levels,
-        renderer: &mut Renderer,
+        renderer: &mut RasterRenderer,
         wake: impl Fn() + Send + Clone + 'static,
     ) -> Result<Self, StreamError> {
         let stream = Stream::new(&scene, budget, renderer)?;
@@ -79,7 +79,7 @@ impl Loader {
     }
 
     /// Goes on for what `camera` sees, before `renderer` draws a frame.
-    pub fn update(&mut self, renderer: &mut Renderer, camera: &Camera) {
+    pub fn update(&mut self, renderer: &mut RasterRenderer, camera: &Camera) {
         while let Ok((cell, outcome)) = self.ended.try_recv() {
             self.stream.take(cell, outcome);
         }
@@ -101,7 +101,7 @@ impl Loader {
     ///
     /// # Errors
     /// [`StreamError::Cell`] if a cell cannot be loaded.
-    pub fn complete(&mut self, renderer: &mut Renderer, camera: &Camera) -> Result<usize, StreamError> {
+    pub fn complete(&mut self, renderer: &mut RasterRenderer, camera: &Camera) -> Result<usize, StreamError> {
         let mut most = 0;
         loop {
             self.update(renderer, camera);

@@ -33,7 +33,7 @@ pub use scene::{LodScene, StreamError};
 #[cfg(not(target_arch = "wasm32"))]
 pub use source::{Source, is_address, is_lod};
 
-use crate::renderer::Renderer;
+use crate::renderer::RasterRenderer;
 pub use crate::scene::PackedCell as LoadedCell;
 use crate::scene::{PAGE, Places};
 use pages::Pages;
@@ -82,7 +82,7 @@ pub struct StreamStatus {
     pub retry_in: Option<f64>,
 }
 
-/// The cells of a scene in the buffers of a [`Renderer`].
+/// The cells of a scene in the buffers of a [`RasterRenderer`].
 #[derive(Debug)]
 pub struct Stream {
     residency: Residency,
@@ -99,7 +99,7 @@ impl Stream {
     /// # Errors
     /// [`StreamError::Budget`] if the coarsest level is larger, [`StreamError::Render`] if the budget does not fit into
     /// textures of the device.
-    pub fn new(scene: &LodScene, budget: usize, renderer: &mut Renderer) -> Result<Self, StreamError> {
+    pub fn new(scene: &LodScene, budget: usize, renderer: &mut RasterRenderer) -> Result<Self, StreamError> {
         let index = scene.index.clone();
         let room = room(&index, budget);
         let mut stream = Self {
@@ -123,7 +123,7 @@ impl Stream {
 
     /// Goes on for what `camera` sees at `now`, s of any clock, before `renderer` draws a frame. Returns the cells to load,
     /// the most urgent first.
-    pub fn update(&mut self, renderer: &mut Renderer, camera: &Camera, now: f64) -> Vec<usize> {
+    pub fn update(&mut self, renderer: &mut RasterRenderer, camera: &Camera, now: f64) -> Vec<usize> {
         for _ in 0..WRITES {
             let Some((cell, outcome)) = self.ended.pop_front() else { break };
             let is_wanted = self.residency.loaded(cell, outcome.as_ref().err(), now);
@@ -174,7 +174,7 @@ impl Stream {
         &self.residency.index
     }
 
-    fn write(&mut self, renderer: &Renderer, cell: usize, loaded: &LoadedCell) {
+    fn write(&mut self, renderer: &RasterRenderer, cell: usize, loaded: &LoadedCell) {
         let of = &self.residency.index.cells[cell];
         let taken = [of.surfels, of.gaussians];
         let [surfels, gaussians] = [0, 1].map(|kind: usize| self.pages[kind].take(taken[kind]));

@@ -7,14 +7,14 @@ use egui::TextureId;
 
 use crate::stream::{Levels, Loader, StreamError, StreamStatus};
 use crate::texture::{size, texture};
-use crate::{PassTime, RenderError, RenderOptions, Renderer, Rgb8Image};
+use crate::{PassTime, RasterRenderer, RenderError, RenderOptions, Rgb8Image};
 
 /// A format that egui shows without conversion; colours are display-referred.
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 
 pub struct Canvas {
     state: RenderState,
-    renderer: Renderer,
+    renderer: RasterRenderer,
     /// The cells that come and go, where the scene has levels of detail.
     loader: Option<Loader>,
     target: Option<Target>,
@@ -29,8 +29,9 @@ struct Target {
 
 impl Canvas {
     pub fn new(state: &RenderState) -> Result<Self, RenderError> {
-        let (precision, depths) = (Renderer::best_precision(&state.device), Renderer::best_depths(&state.device));
-        let renderer = Renderer::new(&state.device, &state.queue, FORMAT, precision, depths)?;
+        let (precision, depths) =
+            (RasterRenderer::best_precision(&state.device), RasterRenderer::best_depths(&state.device));
+        let renderer = RasterRenderer::new(&state.device, &state.queue, FORMAT, precision, depths)?;
         Ok(Self { state: state.clone(), renderer, loader: None, target: None, shown: None })
     }
 
@@ -103,7 +104,7 @@ impl Canvas {
         self.renderer.depth_at(x_px, y_px)
     }
 
-    /// Depths of what was drawn last: see [`Renderer::median_depths`].
+    /// Depths of what was drawn last: see [`RasterRenderer::median_depths`].
     pub fn depths(&self) -> Option<Vec<f32>> {
         self.shown.as_ref()?;
         self.renderer.median_depths()

@@ -69,6 +69,7 @@ struct Photograph {
 }
 
 struct ErrorPicture {
+    /// The view, the options and the number of the scene that it was made of.
     of: (usize, RenderOptions, u64),
     texture: TextureHandle,
     /// Mean over pixels and channels, of full scale 1.

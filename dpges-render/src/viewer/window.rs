@@ -10,7 +10,7 @@ use super::error::ViewerError;
 use super::loading::{Opener, open_scene};
 use super::start::{DeviceFailure, Start};
 use super::state::waker;
-use crate::Renderer;
+use crate::RasterRenderer;
 
 /// Name under which the desktop knows the window, and of the folder of its settings.
 const APPLICATION: &str = "dpges";
@@ -76,7 +76,7 @@ fn setup(gpu: Option<Gpu>) -> WgpuSetup {
     }
     let device = |adapter: &wgpu::Adapter| wgpu::DeviceDescriptor {
         label: Some("viewer"),
-        required_features: Renderer::required_features(adapter),
+        required_features: RasterRenderer::required_features(adapter),
         required_limits: adapter.limits(),
         ..wgpu::DeviceDescriptor::default()
     };

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use dpges_render::Renderer;
+use dpges_render::RasterRenderer;
 use web_sys::HtmlCanvasElement;
 use wgpu::{Adapter, Backends, Device, Instance, Queue, Surface, SurfaceTarget};
 
@@ -87,10 +87,10 @@ async fn adapter(instance: &Instance, surface: Option<&Surface<'static>>) -> Res
 }
 
 async fn device(adapter: &Adapter) -> Result<(Device, Queue), String> {
-    Renderer::check_adapter(adapter).map_err(|error| error.to_string())?;
+    RasterRenderer::check_adapter(adapter).map_err(|error| error.to_string())?;
     let descriptor = wgpu::DeviceDescriptor {
         label: Some("dpges"),
-        required_features: Renderer::required_features(adapter),
+        required_features: RasterRenderer::required_features(adapter),
         required_limits: adapter.limits(),
         ..Default::default()
     };

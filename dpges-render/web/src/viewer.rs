@@ -7,7 +7,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_render::navigation::Tour;
 use dpges_render::path::cameras_from_json;
-use dpges_render::{Precision, RenderOptions, Renderer};
+use dpges_render::{Precision, RasterRenderer, RenderOptions};
 use js_sys::{Promise, Uint8ClampedArray};
 use serde::Serialize;
 use wasm_bindgen::prelude::*;
@@ -25,7 +25,7 @@ pub struct Viewer {
     gpu: Gpu,
     surface: SurfaceConfiguration,
     precision: Precision,
-    renderer: Renderer,
+    renderer: RasterRenderer,
     levels: Levels,
     /// Through the scene that is shown.
     tour: Option<Tour>,
@@ -48,8 +48,9 @@ impl Viewer {
         let surface = gpu.surface.get_default_config(&gpu.adapter, width, height);
         let surface = surface.ok_or_else(|| JsError::new("the graphics device cannot draw on this canvas"))?;
         let surface = SurfaceConfiguration { format, ..surface };
-        let (precision, depths) = (Renderer::best_precision(&gpu.device), Renderer::best_depths(&gpu.device));
-        let renderer = Renderer::new(&gpu.device, &gpu.queue, format, precision, depths)?;
+        let (precision, depths) =
+            (RasterRenderer::best_precision(&gpu.device), RasterRenderer::best_depths(&gpu.device));
+        let renderer = RasterRenderer::new(&gpu.device, &gpu.queue, format, precision, depths)?;
         gpu.surface.configure(&gpu.device, &surface);
         Ok(Self { gpu, surface, precision, renderer, levels: Levels::default(), tour: None, view: None })
     }

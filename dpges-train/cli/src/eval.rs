@@ -8,7 +8,7 @@ use dpges_train::device::DeviceName;
 use dpges_train::device::memory::peak_memory_bytes;
 use dpges_train::eval::pictures::{file_stems, save_png};
 use dpges_train::eval::popping::Measured;
-use dpges_train::eval::rendered::{Renderer, to_picture};
+use dpges_train::eval::rendered::{TrainingRenderer, to_picture};
 use dpges_train::eval::worst;
 use dpges_train::eval::{EvalReport, FrameMs, Measures, evaluate_each};
 use dpges_train::run::hold::{Hold, check_report};
@@ -84,7 +84,7 @@ fn measure(args: &EvalArgs, holds: &[Hold], mut scene: Scene, device: DeviceName
         hold.add_files(stems.iter().map(|stem| format!("{stem}.png")))?;
     }
     args.json.iter().try_for_each(|file| check_report(file, &source))?;
-    let renderer = Renderer::new(&scene.data, &device);
+    let renderer = TrainingRenderer::new(&scene.data, &device);
     let fitted = args.fit_exposure || scene.has_exposure();
     let measures = Measures { fitted, posed: args.fit_poses, ..Measures::perceptual(&networks) };
     let evaluation = evaluate_each(&renderer, &scene.data, views, &device, measures, |index, render| {

@@ -67,7 +67,7 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     print(&format!("{}\nNumbers are medians, with the 5th and 95th percentile.\n\n{notes}{findings}", table(&rows)))?;
     let device = device_choice::select(DeviceRequest::Auto)?;
     let run = Config::resolve_for(of_dataset(&source), Some(PRESET), None, &set)?;
-    let recommendation = Recommendation::new((&source, &set), &dataset, &run, (&device.open()?, &device.to_string()))?;
+    let recommendation = Recommendation::new(&source, &set, &dataset, &run, &device.open()?, &device.to_string())?;
     print(&format!("\nRecommended: {}\n{}", recommendation.command, table(&recommendation.settings)))?;
     if let Some(path) = &args.json {
         write_json(path, &Inspected { report: &report, recommendation: &recommendation })?;

@@ -11,7 +11,7 @@ use dpges_render::{Headless, Precision, RenderOptions};
 use dpges_train::config::Background;
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::painted::{Painted, Wanted};
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 use dpges_train::eval::rendering_preset::RenderingPreset;
 use dpges_train::eval::stitched::{self, PictureLens};
 use dpges_train::eval::video::Video;
@@ -140,7 +140,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             let device = device_choice::select(args.device.unwrap_or_default())?;
             watched(device, || {
                 let shots = args.shots(&mut scene)?;
-                let renderer = Renderer::new(&scene.data, &device.open()?);
+                let renderer = TrainingRenderer::new(&scene.data, &device.open()?);
                 args.write(hold, &shots, |camera| Ok(Painted::by_training(&renderer, &scene.data, camera, shots.1)?))
             })
         }

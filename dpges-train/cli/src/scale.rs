@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use dpges_core::scene::length::parse_metres;
 use dpges_train::dataset::View;
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 use dpges_train::run::folder::hold_file;
 use dpges_train::run::scale::{Place, store};
 
@@ -47,7 +47,7 @@ pub fn run(args: &ScaleArgs) -> Result<()> {
     let (_, dataset) = scene.read(args.data.as_deref(), &Place::reading(), false)?;
     let views: Vec<&View> = dataset.train.iter().chain(&dataset.test).collect();
     watched(device, || {
-        let renderer = Renderer::new(&scene.data, &device.open()?);
+        let renderer = TrainingRenderer::new(&scene.data, &device.open()?);
         print(&table(&store(&scene, places, args.length, &views, Some(&renderer))?))
     })
 }

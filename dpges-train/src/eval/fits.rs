@@ -11,7 +11,7 @@ use dpges_core::losses::{Mask, Target};
 use super::LARGEST_PSNR;
 use super::pose_fit::fitted_pose;
 use crate::dataset::{Picture, View};
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 use crate::metrics::{Fitted, mean_ssim, psnr, quantised};
 use crate::views::exposure::Correction;
 use crate::views::target::ToTarget;
@@ -26,7 +26,7 @@ pub fn fitted(picture: &Tensor<3>, counted: Option<&[bool]>, image: &Tensor<3>) 
 /// PSNR and SSIM of the right half of `view` from the camera that fits the left half of its `picture`, and with the
 /// `exposure` that does, in every step of the fit too, if that is wanted; `None` if either half has no pixel that counts.
 pub fn posed(
-    renderer: &Renderer,
+    renderer: &TrainingRenderer,
     view: &View,
     picture: &Picture,
     extent: f64,

@@ -7,7 +7,7 @@ use dpges_render::path::Size;
 use dpges_render::{Headless, RenderError, check_drawn_as_trained};
 use serde::{Deserialize, Serialize};
 
-use super::rendered::Renderer;
+use super::rendered::TrainingRenderer;
 use crate::dataset::View;
 
 /// At most so many views are timed.
@@ -41,7 +41,7 @@ pub fn frame_times_as_trained(
     cameras: &[Camera],
     rounds: Rounds,
     headless: impl FnOnce() -> Result<Headless, RenderError>,
-    renderer: &Renderer,
+    renderer: &TrainingRenderer,
 ) -> Result<(FrameTimes, Option<String>), RenderError> {
     if check_drawn_as_trained(&scene.info).is_err() {
         return Ok((renderer.frame_times(cameras, rounds)?, None));
@@ -59,7 +59,12 @@ impl FrameMs {
     ///
     /// # Panics
     /// Without views.
-    pub fn measure(scene: &SceneData, views: &[View], renderer: &Renderer, device: &str) -> Result<Self, RenderError> {
+    pub fn measure(
+        scene: &SceneData,
+        views: &[View],
+        renderer: &TrainingRenderer,
+        device: &str,
+    ) -> Result<Self, RenderError> {
         let Camera { width, height, .. } = views[0].camera;
         let some = views.iter().step_by(views.len().div_ceil(TIMED_VIEWS));
         let cameras: Vec<Camera> = some.map(|view| Size { width, height }.apply(&view.camera)).collect();
@@ -92,7 +97,7 @@ mod tests {
             };
             let surfels = SurfelData::neutral(model, 0);
             let scene = SceneData { info, surfels, gaussians: GaussianData::neutral(model, 1), environment: None };
-            let (rounds, renderer) = (Rounds { warm_up: 1, counted: 3 }, Renderer::new(&scene, &device()));
+            let (rounds, renderer) = (Rounds { warm_up: 1, counted: 3 }, TrainingRenderer::new(&scene, &device()));
             let headless = || Err(RenderError::NoAdapter("none is asked for".to_owned()));
             frame_times_as_trained(&scene, &[camera], rounds, headless, &renderer)
         };

@@ -6,7 +6,7 @@ use dpges_render::frame_times::{FrameTimes, PassShare, Rounds, frame_times};
 use dpges_render::{Display, Headless, RenderError, RenderOptions};
 use serde::Serialize;
 
-use super::rendered::Renderer;
+use super::rendered::TrainingRenderer;
 
 /// The figures of `dpges bench render`.
 #[derive(Debug, Serialize)]
@@ -76,7 +76,7 @@ impl Row {
         scene: &SceneData,
         cameras: &[Camera],
         rounds: Rounds,
-        renderer: &Renderer,
+        renderer: &TrainingRenderer,
         on: String,
     ) -> Result<Self, RenderError> {
         let times = renderer.frame_times(cameras, rounds)?;

@@ -39,7 +39,7 @@ use serde::{Deserialize, Serialize};
 use crate::dataset::{Picture, View, pictures};
 use crate::eval::floaters::Floaters;
 use crate::eval::popping::Popping;
-use crate::eval::rendered::{Rendered, Renderer};
+use crate::eval::rendered::{Rendered, TrainingRenderer};
 use crate::metrics::lpips::Lpips;
 use crate::metrics::{
     Fitted, OF_IGNORED_PIXELS, Perceptual, Scores, flip, flip_map, mean_ssim, ms_ssim, psnr, quantised, ssimulacra2,
@@ -183,15 +183,15 @@ impl Evaluation {
 /// Renders every view and compares it with its photograph, by PSNR, SSIM and FLIP.
 ///
 /// # Errors
-/// The errors of [`Renderer::render`]; [`Error::Option`] if there are no views.
+/// The errors of [`TrainingRenderer::render`]; [`Error::Option`] if there are no views.
 pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Evaluation> {
-    evaluate_each(&Renderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
+    evaluate_each(&TrainingRenderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
 }
 
 /// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Views are shared out among the ranks, which all
 /// get the result. Calls `visit` with the index and the render of every view of this rank.
 pub fn evaluate_each<E: From<Error>>(
-    renderer: &Renderer,
+    renderer: &TrainingRenderer,
     scene: &SceneData,
     views: &[View],
     device: &Device,

@@ -3,9 +3,9 @@
 use dpges_core::camera::Camera;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel, Rendering, SH_C0, SceneData};
-use dpges_render::{DepthSource, Headless, Precision, RenderOptions, Rgb8Image};
+use dpges_render::{DepthSource, Headless, Precision, RasterRenderer, RenderOptions, Rgb8Image};
 
-use super::rendered::{LayerPictures, Renderer, layer_pictures, to_picture};
+use super::rendered::{LayerPictures, TrainingRenderer, layer_pictures, to_picture};
 
 /// What is asked for besides a picture.
 #[derive(Clone, Copy, Debug, Default)]
@@ -37,9 +37,9 @@ impl Painted {
     /// By the renderer that is trained with, which has `scene`.
     ///
     /// # Errors
-    /// The errors of [`Renderer::render`].
+    /// The errors of [`TrainingRenderer::render`].
     pub fn by_training(
-        renderer: &Renderer,
+        renderer: &TrainingRenderer,
         scene: &SceneData,
         camera: &Camera,
         wanted: Wanted,
@@ -50,9 +50,10 @@ impl Painted {
         } else {
             (renderer.render(camera)?, None)
         };
-        let planes = |renderer: &Renderer| Ok(tensor_to_rows(renderer.render(camera)?.image()));
-        let depth = depth
-            .map(|depth| filled(depth, scene, || planes(&Renderer::new(&distances(scene, camera), renderer.device()))));
+        let planes = |renderer: &TrainingRenderer| Ok(tensor_to_rows(renderer.render(camera)?.image()));
+        let depth = depth.map(|depth| {
+            filled(depth, scene, || planes(&TrainingRenderer::new(&distances(scene, camera), renderer.device())))
+        });
         let before = |colour: f64| planes(&renderer.before([colour; 3]));
         let cut = wanted.alpha.then(|| Ok(cut_out(&before(0.0)?, &before(1.0)?, camera))).transpose()?;
         let peeled = render.peeled().filter(|_| wanted.layers);
@@ -69,7 +70,7 @@ impl Painted {
     /// The errors of [`Headless::planes`].
     pub fn by_raster(
         headless: &Headless,
-        raster: &mut dpges_render::Renderer,
+        raster: &mut RasterRenderer,
         scene: &SceneData,
         camera: &Camera,
         wanted: Wanted,
@@ -89,7 +90,7 @@ impl Painted {
         let depth = wanted.depth.then(|| {
             let of_surfels = raster.median_depths().unwrap_or_else(|| vec![0.0; width * height]);
             filled(of_surfels, scene, || {
-                let precision = dpges_render::Renderer::best_precision(headless.device());
+                let precision = RasterRenderer::best_precision(headless.device());
                 let mut other = headless.float_renderer(precision, DepthSource::Computed)?;
                 let flat = distances(scene, camera);
                 other.upload(&flat)?;
@@ -103,10 +104,10 @@ impl Painted {
     ///
     /// # Errors
     /// The errors of [`Headless::float_renderer`].
-    pub fn raster(headless: &Headless, precision: Option<Precision>) -> dpges_render::Result<dpges_render::Renderer> {
+    pub fn raster(headless: &Headless, precision: Option<Precision>) -> dpges_render::Result<RasterRenderer> {
         let device = headless.device();
-        let precision = precision.unwrap_or_else(|| dpges_render::Renderer::best_precision(device));
-        headless.float_renderer(precision, dpges_render::Renderer::best_depths(device))
+        let precision = precision.unwrap_or_else(|| RasterRenderer::best_precision(device));
+        headless.float_renderer(precision, RasterRenderer::best_depths(device))
     }
 }
 
@@ -187,7 +188,7 @@ mod tests {
         let wanted = Wanted { alpha: true, depth: true, layers: false };
         for rendering in [Rendering::Peeled, Rendering::Ellipsoids, Rendering::Discs] {
             let scene = ball(rendering);
-            let renderer = Renderer::new(&scene, &device());
+            let renderer = TrainingRenderer::new(&scene, &device());
             let painted = Painted::by_training(&renderer, &scene, &camera, wanted).unwrap();
             let (alpha, depth) = (painted.alpha.unwrap(), painted.depth.unwrap());
             let middle = 8 * 16 + 8;

@@ -8,7 +8,7 @@ use dpges_core::render::pose::PoseProbe;
 use dpges_core::scene::tensors::tensor_to_rows;
 
 use crate::config::OptimizerConfig;
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 use crate::optimizer::pose_step::PoseStep;
 use crate::views::pose::PoseCorrection;
 
@@ -25,9 +25,9 @@ const DSSIM: f64 = 0.2;
 /// a photograph that is brighter than the scene says nothing about where its camera is.
 ///
 /// # Errors
-/// The errors of [`Renderer::render`], [`dpges_core::Error::Shape`] if the target has another size.
+/// The errors of [`TrainingRenderer::render`], [`dpges_core::Error::Shape`] if the target has another size.
 pub fn fitted_pose(
-    renderer: &Renderer,
+    renderer: &TrainingRenderer,
     camera: &Camera,
     target: impl Fn(&Device) -> Result<Target>,
     exposed: impl Fn(Tensor<3>) -> Tensor<3>,
@@ -46,7 +46,7 @@ pub fn fitted_pose(
         let here = Camera { camera_from_world: correction.applied(&camera.camera_from_world), ..*camera };
         let probe = PoseProbe::new(&here, &tape, DType::F32);
         let image = exposed(renderer.render_probed(&here, &probe)?);
-        let loss: Tensor<1> = rgb(image, target.clone(), DSSIM)?;
+        let loss = rgb(&image, target.clone(), DSSIM)?.total;
         let value = f64::from(tensor_to_rows(&loss.clone().inner())[0]);
         if value < best.0 {
             best = (value, correction);
@@ -93,7 +93,7 @@ mod tests {
                 scene.surfels = dpges_core::scene::SurfelData::neutral(scene.info.colour_model, 0);
                 scene.gaussians.opacities.iter_mut().for_each(|opacity| *opacity = opacity.min(0.9));
             }
-            let renderer = Renderer::new(&scene, &device);
+            let renderer = TrainingRenderer::new(&scene, &device);
             let taken = change.applied(renderer.render(&camera).unwrap().image().clone());
             let picture = Picture::from_planes(&tensor_to_rows(&taken), camera.width, camera.height);
             let photograph = picture.target(&device).image;

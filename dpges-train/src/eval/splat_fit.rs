@@ -8,8 +8,8 @@ use burn::tensor::{DType, Device, Tensor};
 use dpges_core::losses::rgb;
 use dpges_core::ops::environment::environment;
 use dpges_core::ops::finite::{FiniteChecks, check_finite};
-use dpges_core::render::Values;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::render::{Values, ViewRequest};
 use dpges_core::scene::tensors::rows_to_tensor;
 use dpges_core::scene::{Rendering, SceneData};
 use dpges_core::{Error, Result};
@@ -59,13 +59,14 @@ pub fn fit(
         prefetch(remaining.iter().rev().take(MOST_PREFETCHED).map(|view| &view.photograph));
         let leaves = state.leaves();
         let values = if completed == 0 { Values::Unknown } else { Values::KnownFinite };
-        let rendered = render_blended(&leaves.values, None, &view.camera, &options, values)?;
+        let rendered = render_blended(&leaves.values, ViewRequest { values, ..(&view.camera).into() }, &options)?;
         let image = match &behind {
             Some(coefficients) => rendered.in_front_of(environment(coefficients, &view.camera)?),
             None => rendered,
         }
         .image;
-        let loss = rgb(image, view.picture()?.target(&device.clone().autodiff()), config.train.lambda_dssim)?;
+        let target = view.picture()?.target(&device.clone().autodiff());
+        let loss = rgb(&image, target, config.train.lambda_dssim)?.total;
         let mut gradients = loss.backward();
         let found = state.gradients(&leaves.raw, &mut gradients);
         let mut checks = FiniteChecks::default();

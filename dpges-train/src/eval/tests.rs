@@ -22,7 +22,7 @@ fn views(side: usize) -> Vec<View> {
 }
 
 fn measured(scene: &SceneData, views: &[View], measures: Measures) -> Evaluation {
-    let (renderer, device) = (Renderer::new(scene, &device()), device());
+    let (renderer, device) = (TrainingRenderer::new(scene, &device()), device());
     let found: Result<_> = evaluate_each(&renderer, scene, views, &device, measures, |_, _| Ok(()));
     found.unwrap()
 }
@@ -236,7 +236,7 @@ fn views_are_shared_out_among_ranks_and_all_get_the_scores() {
         let scores = |count: usize| {
             on_ranks(count, |ranks| {
                 let (rank, place) = (ranks.rank(), Place { device: device.clone(), ranks });
-                let renderer = Renderer::on_ranks(&scene, &place);
+                let renderer = TrainingRenderer::on_ranks(&scene, &place);
                 let mut visited = Vec::new();
                 let visit = |index: usize, _: &Rendered| -> Result<()> {
                     visited.push(index);

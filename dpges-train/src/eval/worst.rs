@@ -9,7 +9,7 @@ use dpges_render::Rgb8Image;
 
 use super::Evaluation;
 use super::pictures::{save_png, with_flip};
-use super::rendered::Renderer;
+use super::rendered::TrainingRenderer;
 use crate::dataset::View;
 use crate::metrics::{METRICS, Scores};
 
@@ -18,7 +18,12 @@ use crate::metrics::{METRICS, Scores};
 ///
 /// # Errors
 /// If a view cannot be rendered, or a picture not be written.
-pub fn write(folder: &Path, evaluation: &Evaluation, views: &[View], renderer: &Renderer) -> Result<Vec<String>> {
+pub fn write(
+    folder: &Path,
+    evaluation: &Evaluation,
+    views: &[View],
+    renderer: &TrainingRenderer,
+) -> Result<Vec<String>> {
     let scores: Vec<Scores> = evaluation.views.iter().map(|view| view.scores).collect();
     let mut pictures: BTreeMap<usize, Rgb8Image> = BTreeMap::new();
     let mut written = Vec::new();

@@ -89,7 +89,8 @@ impl Parameter {
         attribute: &'static Attribute,
         rows: &mut HashMap<String, ParameterRows>,
         width: usize,
-        (fits, expected): (impl Fn(usize) -> bool, impl Display),
+        fits: impl Fn(usize) -> bool,
+        expected: impl Display,
         device: &Device,
     ) -> Result<Option<Self>, String> {
         let name = attribute.raw_name;

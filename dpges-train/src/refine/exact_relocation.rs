@@ -38,7 +38,8 @@ pub struct Renewal {
 pub fn renew(
     gaussians: &GaussianData,
     errors: &[f32],
-    (target, bounds): (usize, Bounds),
+    target: usize,
+    bounds: Bounds,
     shift: bool,
     rng: &mut ChaCha8Rng,
 ) -> Renewal {
@@ -122,7 +123,7 @@ mod tests {
     #[test]
     fn sources_share_their_opacity_and_errors_choose_them() {
         let old = gaussians(&[0.6, 0.001, 1.2, -0.3, 0.3]);
-        let new = renew(&old, &[1.0, 9.0, 0.0, 9.0, 0.0], (5, Bounds::ALL), false, &mut rng(8));
+        let new = renew(&old, &[1.0, 9.0, 0.0, 9.0, 0.0], 5, Bounds::ALL, false, &mut rng(8));
         assert_eq!((&new.rows[..], new.copies.len()), (&[0, 2, 4][..], 2));
         assert!((new.opacities[0] - 0.2).abs() < 1e-6 && new.opacities[1..] == [1.2, 0.3], "{:?}", new.opacities);
         assert_eq!(new.copies.positions, [0.0; 6]);
@@ -133,7 +134,7 @@ mod tests {
     fn sums_of_opacities_stay_as_they_were() {
         let old = gaussians(&(0..200).map(|i| 0.004 + 0.01 * i as f32).collect::<Vec<_>>());
         let errors: Vec<f32> = (0..200).map(|i| (i % 7) as f32).collect();
-        let new = renew(&old, &errors, (900, Bounds::ALL), true, &mut rng(8));
+        let new = renew(&old, &errors, 900, Bounds::ALL, true, &mut rng(8));
         let after = new.opacities.iter().chain(&new.copies.opacities).sum::<f32>();
         assert!((after - old.opacities.iter().sum::<f32>()).abs() < 1e-3);
         assert_eq!(new.rows.len() + new.copies.len(), 900);
@@ -154,7 +155,7 @@ mod tests {
     fn pictures_stay_as_they_were() {
         let mut old = gaussians(&[0.75, 2.0]);
         old.log_scales = vec![3.0; 6];
-        let new = renew(&old, &[1.0, 0.0], (4, Bounds::ALL), false, &mut rng(8));
+        let new = renew(&old, &[1.0, 0.0], 4, Bounds::ALL, false, &mut rng(8));
         let mut after = GaussianData { opacities: new.opacities, ..old.select(&new.rows) };
         after.append(new.copies);
         assert_eq!(after.opacities, [0.25, 2.0, 0.25, 0.25]);
@@ -167,28 +168,28 @@ mod tests {
 
     #[test]
     fn faint_gaussians_have_no_copies() {
-        let new = renew(&gaussians(&[0.021, 0.0393]), &[1.0; 2], (50, Bounds::ALL), true, &mut rng(8));
+        let new = renew(&gaussians(&[0.021, 0.0393]), &[1.0; 2], 50, Bounds::ALL, true, &mut rng(8));
         assert_eq!((new.rows.len(), new.copies.len()), (2, 1));
-        let none = renew(&gaussians(&[]), &[], (50, Bounds::ALL), true, &mut rng(8));
+        let none = renew(&gaussians(&[]), &[], 50, Bounds::ALL, true, &mut rng(8));
         assert_eq!((none.rows.len(), none.copies.len()), (0, 0));
     }
 
     #[test]
     fn without_errors_the_opaque_have_more_copies() {
-        let new = renew(&gaussians(&[9.0, 1.0]), &[0.0; 2], (142, Bounds::ALL), false, &mut rng(8));
+        let new = renew(&gaussians(&[9.0, 1.0]), &[0.0; 2], 142, Bounds::ALL, false, &mut rng(8));
         let of_first = new.copies.positions.chunks(3).filter(|position| position[0] == 0.0).count();
         assert!((75..=105).contains(&of_first), "{of_first}");
     }
 
     #[test]
     fn beyond_the_target_those_that_answer_for_least_leave() {
-        let new = renew(&gaussians(&[0.5, 0.5, 0.0, 0.5]), &[0.2, 0.1, 5.0, 0.3], (2, Bounds::ALL), true, &mut rng(8));
+        let new = renew(&gaussians(&[0.5, 0.5, 0.0, 0.5]), &[0.2, 0.1, 5.0, 0.3], 2, Bounds::ALL, true, &mut rng(8));
         assert_eq!((&new.rows[..], new.copies.len()), (&[0, 3][..], 0));
     }
 
     #[test]
     fn copies_lie_within_their_source() {
-        let new = renew(&gaussians(&[1e3]), &[1.0], (20_001, Bounds::ALL), true, &mut rng(8));
+        let new = renew(&gaussians(&[1e3]), &[1.0], 20_001, Bounds::ALL, true, &mut rng(8));
         let spread = |axis: usize| {
             let squares = new.copies.positions.chunks(3).map(|position| f64::from(position[axis]).powi(2));
             (squares.sum::<f64>() / new.copies.len() as f64).sqrt()

@@ -20,7 +20,8 @@ pub fn split(
     surfel_positions: &[f32],
     margins: &[f32],
     factor: f64,
-    (room, bounds): (usize, Bounds),
+    room: usize,
+    bounds: Bounds,
     rng: &mut ChaCha8Rng,
 ) -> (GaussianEdit, usize) {
     let mut parents = parents(gaussians, surfel_positions, margins, factor);
@@ -70,7 +71,7 @@ mod tests {
     #[test]
     fn the_large_are_replaced_by_two_smaller() {
         let old = gaussians(&[0.9, 1.1, 0.5, 5.0]);
-        let (edit, too_large) = split(&old, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, (10, Bounds::ALL), &mut rng(11));
+        let (edit, too_large) = split(&old, &[0.0; 9], &[1.0, 1.0, 1.0], 2.0, 10, Bounds::ALL, &mut rng(11));
         assert_eq!((&edit.keep, too_large), (&vec![0, 2], 2));
         assert_eq!(edit.added.opacities, [1.0, 1.0, 3.0, 3.0]);
         assert!((edit.added.log_scales[0] - (4.4f32 / 1.6).ln()).abs() < 1e-6);
@@ -83,17 +84,17 @@ mod tests {
     #[test]
     fn room_goes_to_those_that_exceed_most() {
         let (edit, too_large) =
-            split(&gaussians(&[3.0, 2.0, 5.0]), &[0.0; 3], &[1.0], 1.0, (2, Bounds::ALL), &mut rng(11));
+            split(&gaussians(&[3.0, 2.0, 5.0]), &[0.0; 3], &[1.0], 1.0, 2, Bounds::ALL, &mut rng(11));
         assert_eq!((edit.keep, too_large), (vec![1], 3));
-        let (edit, too_large) = split(&gaussians(&[3.0, 2.0]), &[0.0; 3], &[1.0], 1.0, (0, Bounds::ALL), &mut rng(11));
+        let (edit, too_large) = split(&gaussians(&[3.0, 2.0]), &[0.0; 3], &[1.0], 1.0, 0, Bounds::ALL, &mut rng(11));
         assert_eq!((edit.keep.len(), edit.added.len(), too_large), (2, 0, 2));
     }
 
     #[test]
     fn without_surfels_or_gaussians_nothing_is_split() {
-        let (edit, _) = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, (10, Bounds::ALL), &mut rng(11));
+        let (edit, _) = split(&gaussians(&[3.0, 2.0]), &[], &[], 2.0, 10, Bounds::ALL, &mut rng(11));
         assert_eq!((edit.keep.len(), edit.added.len()), (2, 0));
-        let (edit, _) = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, (10, Bounds::ALL), &mut rng(11));
+        let (edit, _) = split(&gaussians(&[]), &[0.0; 3], &[1.0], 2.0, 10, Bounds::ALL, &mut rng(11));
         assert_eq!(edit, GaussianEdit { added: GaussianData::neutral(MODEL, 0), ..GaussianEdit::default() });
     }
 }

@@ -16,7 +16,7 @@ use crate::dataset::{Dataset, Split, View};
 use crate::eval::compress::report::Psnr;
 use crate::eval::floaters::Votes;
 use crate::eval::pictures::save_png;
-use crate::eval::rendered::{Renderer, to_picture};
+use crate::eval::rendered::{TrainingRenderer, to_picture};
 use crate::eval::simplify::Contributions;
 use crate::eval::{Evaluation, evaluate};
 
@@ -110,7 +110,8 @@ impl Cleaned {
         }
         let Some((dataset, device)) = known else { return Ok(cleaned) };
         if rules.floaters {
-            let votes = Renderer::new(&cleaned.scene, device).visibility(dataset)?.ok_or(CleanError::NoTracks)?;
+            let votes =
+                TrainingRenderer::new(&cleaned.scene, device).visibility(dataset)?.ok_or(CleanError::NoTracks)?;
             let stay = |votes: &[Votes]| kept(votes, 1, |votes| !votes[0].floats());
             cleaned.keep("floaters", [stay(&votes.surfels), stay(&votes.gaussians)]);
         }
@@ -268,7 +269,7 @@ fn compare(scenes: [&SceneData; 2], views: &[View], device: &Device, out: &Path)
     let stem = out.file_stem().unwrap_or_default().to_string_lossy();
     let files = ["before", "after"].map(|name| out.with_file_name(format!("{stem}_{name}.png")));
     for (scene, file) in scenes.into_iter().zip(&files) {
-        save_png(&to_picture(Renderer::new(scene, device).render(&views[most].camera)?.image()), file)?;
+        save_png(&to_picture(TrainingRenderer::new(scene, device).render(&views[most].camera)?.image()), file)?;
     }
     Ok(([before.psnr, after.psnr], files))
 }

@@ -8,7 +8,7 @@ use dpges_core::scene::tensors::tensor_to_rows;
 use super::TrainError;
 use super::refit::refit;
 use crate::dataset::{Picture, View};
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 use crate::eval::simplify::Contributions;
 
 /// Cameras whose pictures are learnt from, at most.
@@ -41,7 +41,7 @@ pub fn consolidate(
     if steps == 0 {
         return Ok(kept);
     }
-    let renderer = Renderer::new(scene, device);
+    let renderer = TrainingRenderer::new(scene, device);
     let view = |(number, camera): (usize, &Camera)| {
         let planes = tensor_to_rows(renderer.render(camera)?.image());
         let photograph = Picture::from_planes(&planes, camera.width, camera.height).into();

@@ -2,7 +2,7 @@
 //!
 //! | line | content |
 //! |---|---|
-//! | `{"kind":"step","step":…}` | stage, losses, PSNR (dB), counts and events of one training step |
+//! | `{"kind":"step","step":…}` | stage, `loss` and its unweighted terms by name, PSNR (dB), counts and events of one training step |
 //! | `{"kind":"evaluation","step":…}` | means over the held-out views |
 //! | `{"kind":"validation","step":…}` | means over the views that are kept for decisions |
 //!
@@ -85,10 +85,12 @@ impl MetricsLog {
     pub fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         let mut line = json!({
             "kind": "step", "step": report.step, "stage": report.stage.to_string(), "view": report.view,
-            "loss": report.loss, "rgb": report.rgb, "surfel": report.surfel, "scale": report.scale,
-            "transmittance": report.transmittance,
-            "psnr": report.psnr, "surfels": report.surfels, "gaussians": report.gaussians, "seconds": seconds,
+            "loss": report.loss, "psnr": report.psnr, "surfels": report.surfels, "gaussians": report.gaussians,
+            "seconds": seconds,
         });
+        for &(term, value) in &report.terms {
+            line[term] = json!(value);
+        }
         if !report.events.is_empty() {
             line["events"] = json!(report.events);
         }
@@ -145,10 +147,7 @@ mod tests {
             stage: *Config::default().plan(0).last().unwrap(),
             view: 1,
             loss: 0.5,
-            rgb: 0.4,
-            surfel: 0.3,
-            scale: 0.0,
-            transmittance: 0.1,
+            terms: vec![("rgb", 0.4), ("surfel", 0.3)],
             psnr: 20.0,
             surfels: 3,
             gaussians: 4,
@@ -172,6 +171,7 @@ mod tests {
         let steps: Vec<u64> =
             text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap()["step"].as_u64().unwrap()).collect();
         assert_eq!(steps, [10, 20, 21]);
+        assert!(text.contains(r#""rgb":0.4"#) && text.contains(r#""surfel":0.3"#), "{text}");
         let line = r#"{"kind":"evaluation","step":21,"seconds":9}"#;
         OpenOptions::new().append(true).open(&path).unwrap().write_all(line.as_bytes()).unwrap();
         MetricsLog::resume(&path, 21, false).unwrap();

@@ -40,10 +40,12 @@ impl Recommendation {
     /// # Errors
     /// [`TargetError`] of a photograph that cannot be read again, of steps that fail.
     pub fn new(
-        (source, options): (&Source, &[String]),
+        source: &Source,
+        options: &[String],
         dataset: &Dataset,
         config: &Config,
-        (device, name): (&Device, &str),
+        device: &Device,
+        name: &str,
     ) -> Result<Self, TargetError> {
         let (steps, whole_pixels) = (config.total_steps(), mean_pixels(dataset));
         let times = StepTimes::of_builtin(config, device)?;

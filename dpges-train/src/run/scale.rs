@@ -11,7 +11,7 @@ use glam::DVec3;
 use super::scene::{Reading, Scene};
 use crate::dataset::View;
 use crate::dataset::names::list;
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 
 /// Sides of the picture in which the surface at a pixel is looked for, px. Odd: a pixel is in its middle.
 const SIDE_PX: usize = 513;
@@ -93,7 +93,7 @@ impl Place {
     pub fn find<'a>(
         &self,
         views: impl Iterator<Item = &'a View> + Clone,
-        renderer: Option<&Renderer>,
+        renderer: Option<&TrainingRenderer>,
     ) -> Result<DVec3, ScaleError> {
         match (self, renderer) {
             (Self::Point(point), _) => Ok(*point),
@@ -117,7 +117,7 @@ pub fn store(
     places: [&Place; 2],
     length: f64,
     views: &[&View],
-    renderer: Option<&Renderer>,
+    renderer: Option<&TrainingRenderer>,
 ) -> Result<Vec<(&'static str, String)>, ScaleError> {
     if SceneData::load(&scene.path).is_err() {
         return Err(ScaleError::Splats { path: scene.path.clone() });
@@ -174,7 +174,7 @@ fn named<'a>(views: impl Iterator<Item = &'a View> + Clone, name: &str) -> Resul
 
 /// The point of the surface that `view` shows at a position on its photograph, px: where a pinhole camera in its place finds one
 /// that looks along the ray of this position.
-fn surface_at(view: &View, [x, y]: [f64; 2], renderer: &Renderer) -> Result<DVec3, ScaleError> {
+fn surface_at(view: &View, [x, y]: [f64; 2], renderer: &TrainingRenderer) -> Result<DVec3, ScaleError> {
     let (camera, name) = (&view.camera, || view.name.clone());
     let (width, height) = (camera.width, camera.height);
     if !(0.0..=width as f64).contains(&x) || !(0.0..=height as f64).contains(&y) {
@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn a_pixel_is_where_its_ray_meets_the_surface() {
         let (views, scene) = wall();
-        let renderer = Renderer::new(&scene, &device());
+        let renderer = TrainingRenderer::new(&scene, &device());
         let find = |text: &str| text.parse::<Place>().unwrap().find(views.iter(), Some(&renderer));
         let camera = &views[0].camera;
         for expected in [DVec3::ZERO, DVec3::new(0.3, 0.2, 0.0), DVec3::new(-0.1, 0.4, 0.0)] {
@@ -264,7 +264,7 @@ mod tests {
         assert!(views[0].camera.lens.is_some());
         let expected = DVec3::new(0.4, -0.3, 0.0);
         let (x, y, _) = views[0].camera.project(expected).unwrap();
-        let found = surface_at(&views[0], [x, y], &Renderer::new(&scene, &device())).unwrap();
+        let found = surface_at(&views[0], [x, y], &TrainingRenderer::new(&scene, &device())).unwrap();
         assert!(found.distance(expected) < 1e-4, "{found}");
     }
 }

@@ -13,7 +13,7 @@ use crate::config::Stop;
 use crate::device::place::Place;
 use crate::eval::floaters::Floaters;
 use crate::eval::pictures::{comparison, file_stems, save_png};
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 use crate::eval::{Evaluation, Measures, evaluate_each};
 
 /// A request to the trainer; it returns the report of the step whose numbers are then known.
@@ -230,9 +230,9 @@ impl Run {
         Ok(self.renderer(scene).floaters(self.trainer.dataset())?)
     }
 
-    fn renderer(&self, scene: &SceneData) -> Renderer {
+    fn renderer(&self, scene: &SceneData) -> TrainingRenderer {
         let place = Place { device: self.trainer.device().clone(), ranks: Arc::clone(self.trainer.ranks()) };
-        Renderer::on_ranks(&self.trainer.complete(scene), &place)
+        TrainingRenderer::on_ranks(&self.trainer.complete(scene), &place)
     }
 
     /// Evaluates the held-out views and writes pictures of a few; `None` if there are none.

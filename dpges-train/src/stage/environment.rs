@@ -31,7 +31,7 @@ pub fn fresh(data: Option<&EnvironmentData>, device: &Device) -> EnvironmentStat
 /// A message if its coefficients are those of no degree, or have no moments.
 pub fn from_rows(rows: &mut HashMap<String, ParameterRows>, device: &Device) -> Result<EnvironmentState, String> {
     let is_of_a_degree = |count| EnvironmentData::degree_of(count).is_some();
-    Parameter::take(&ENVIRONMENT, rows, 3, (is_of_a_degree, "1, 4, 9 or 16"), device)
+    Parameter::take(&ENVIRONMENT, rows, 3, is_of_a_degree, "1, 4, 9 or 16", device)
 }
 
 pub fn to_data(state: &EnvironmentState) -> Option<EnvironmentData> {

@@ -105,7 +105,6 @@ pub trait Stage: Send {
 
 /// A view as a stage renders it, on the tape of one step.
 pub struct ForwardPass {
-    /// [1] each; terms that the stage does not have are 0.
     pub losses: Losses,
     /// Leaf beside the parameters whose gradient the stage needs.
     pub probe: Option<Tensor<2>>,

@@ -63,16 +63,17 @@ impl PendingStep {
     /// Begins to read the numbers without waiting for them: the `losses`, and the gradient [V, 6] of the poses of the
     /// `views`, if there is one.
     pub fn new(
-        report: StepReport,
+        mut report: StepReport,
         view_name: String,
+        views: StepViews,
         losses: Losses,
-        (views, of_poses): (StepViews, Option<Tensor<2>>),
+        of_poses: Option<Tensor<2>>,
         gate: &StepGate,
     ) -> Self {
-        let Losses { total, rgb, surfel, scale, transmittance, squared_error } = losses;
-        let numbers = [total, rgb, surfel, scale, transmittance, squared_error].map(Tensor::inner);
-        let mut numbers: Vec<Tensor<1>> = numbers.into();
-        numbers.push(gate.gate.bad.clone());
+        let Losses { total, terms, squared_error } = losses;
+        let mut numbers = vec![total.inner(), squared_error.inner(), gate.gate.bad.clone()];
+        report.terms = terms.iter().map(|&(name, _)| (name, f64::NAN)).collect();
+        numbers.extend(terms.into_iter().map(|(_, value)| value.inner()));
         numbers.extend(of_poses.map(|gradient| gradient.reshape([-1])));
         Self { report, view_name, views, checks: gate.checks.clone(), numbers: begin_readback(numbers) }
     }
@@ -88,8 +89,8 @@ impl PendingStep {
         let (step, view, views) = (self.report.step, self.view_name, self.views.of_ranks);
         let numbers = numbers.map_err(|reason| TrainError::Device { step, reason })?;
         let numbers: Vec<f64> = download(numbers).iter::<f64>().collect();
-        let &[loss, rgb, surfel, scale, transmittance, squared_error, bad, ref poses @ ..] = numbers.as_slice() else {
-            unreachable!("at least seven numbers were asked for");
+        let &[loss, squared_error, bad, ref rest @ ..] = numbers.as_slice() else {
+            unreachable!("at least three numbers were asked for");
         };
         if !loss.is_finite() {
             return Err(TrainError::Loss { step, view, loss });
@@ -100,7 +101,9 @@ impl PendingStep {
             return Err(TrainError::Step { step, view, source });
         }
         let psnr = -10.0 * squared_error.log10();
-        let report = StepReport { loss, rgb, surfel, scale, transmittance, psnr, ..self.report };
+        let mut report = StepReport { loss, psnr, ..self.report };
+        let (terms, poses) = rest.split_at(report.terms.len());
+        report.terms.iter_mut().zip(terms).for_each(|((_, value), &found)| *value = found);
         let rows = poses.as_chunks().0.iter().map(|row: &[f64; 6]| row.map(|value| value as f32));
         Ok(Settled { report, pose_gradients: views.into_iter().zip(rows).collect() })
     }

@@ -9,14 +9,8 @@ pub struct StepReport {
     pub view: usize,
     /// Weighted sum of all terms.
     pub loss: f64,
-    /// L_rgb: the photometric loss.
-    pub rgb: f64,
-    /// L_s: the photometric loss of the surfels alone; 0 in stages without surfels, as are the next two.
-    pub surfel: f64,
-    /// L_scale
-    pub scale: f64,
-    /// L_t
-    pub transmittance: f64,
+    /// Name and value of each term that the stage has for the view, without its weight, as in [`Losses`](dpges_core::losses::Losses).
+    pub terms: Vec<(&'static str, f64)>,
     /// dB, of the training view before the step, clamped to 0..1 and not quantised.
     pub psnr: f64,
     pub surfels: usize,
@@ -26,22 +20,9 @@ pub struct StepReport {
 }
 
 impl StepReport {
-    /// The report of a step whose numbers are not known yet: they are NaN, and the counts 0.
+    /// The report of a step whose numbers are not known yet: they are NaN, and the counts 0. There are no terms.
     pub fn begin(step: usize, stage: StagePlan, view: usize, events: Vec<String>) -> Self {
         let unknown = f64::NAN;
-        Self {
-            step,
-            stage,
-            view,
-            loss: unknown,
-            rgb: unknown,
-            surfel: unknown,
-            scale: unknown,
-            transmittance: unknown,
-            psnr: unknown,
-            surfels: 0,
-            gaussians: 0,
-            events,
-        }
+        Self { step, stage, view, loss: unknown, terms: Vec::new(), psnr: unknown, surfels: 0, gaussians: 0, events }
     }
 }

@@ -4,8 +4,8 @@ use burn::tensor::{DType, Tensor};
 use dpges_core::camera::Camera;
 use dpges_core::losses::{Losses, Target};
 use dpges_core::ops::environment::environment;
-use dpges_core::render::Values;
 use dpges_core::render::pose::PoseProbe;
+use dpges_core::render::{Values, ViewRequest};
 use dpges_core::tiles::lists;
 use dpges_core::within_capacity;
 
@@ -52,6 +52,10 @@ pub struct StepInput<'a> {
 }
 
 impl StepInput<'_> {
+    pub fn request(&self) -> ViewRequest<'_> {
+        ViewRequest { values: self.values, pose: self.pose, ..(&self.view.camera).into() }
+    }
+
     /// A rendered `image` [3, H, W] with the exposure of the photograph.
     pub fn photographed(&self, image: Tensor<3>) -> Tensor<3> {
         match &self.exposure {
@@ -60,12 +64,11 @@ impl StepInput<'_> {
         }
     }
 
-    /// The environment [3, H, W] with `coefficients` [(degree + 1)², 3] behind the view.
-    pub fn environment(&self, coefficients: &Tensor<2>) -> dpges_core::Result<Tensor<3>> {
-        match self.pose {
-            Some(probe) => environment(&probe.environment(coefficients), &self.view.camera),
-            None => environment(coefficients, &self.view.camera),
-        }
+    /// The environment [3, H, W] behind the view, if it has `coefficients` [(degree + 1)², 3].
+    pub fn environment(&self, coefficients: &Option<Tensor<2>>) -> dpges_core::Result<Option<Tensor<3>>> {
+        let Some(coefficients) = coefficients else { return Ok(None) };
+        let moved = self.pose.map(|probe| probe.environment(coefficients));
+        environment(moved.as_ref().unwrap_or(coefficients), &self.view.camera).map(Some)
     }
 }
 
@@ -178,7 +181,7 @@ impl BegunStep {
     pub fn learn(self, stage: &mut dyn Stage, context: &mut Context) -> Result<PendingStep, TrainError> {
         let Self { report, view_name, views, cameras, completed, pass } = self;
         let Pass { losses, of_parameters, of_exposure, of_pose, observed, gate } = pass;
-        let pending = PendingStep::new(report, view_name, losses, (views, of_pose), &gate);
+        let pending = PendingStep::new(report, view_name, views, losses, of_pose, &gate);
         stage.observe(observed, &cameras);
         let rates = stage.rates(completed, &context.config);
         let batch = stage.views_per_step();

@@ -77,7 +77,7 @@ impl WeightedSumState {
         device: &Device,
     ) -> Result<Self, String> {
         let mut take = |attribute: &'static Attribute| {
-            let found = Parameter::take(attribute, rows, 1, (|count| count == 1, 1), device)?;
+            let found = Parameter::take(attribute, rows, 1, |count| count == 1, 1, device)?;
             found.ok_or_else(|| format!("attribute `{}` is missing", attribute.raw_name))
         };
         let [sigma, beta, background] = ATTRIBUTES;

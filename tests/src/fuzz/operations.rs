@@ -6,7 +6,7 @@ use dpges_core::Error;
 use dpges_core::ops::blend::{BlendOptions, Form};
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
-use dpges_core::render::{RenderOptions, Values, render};
+use dpges_core::render::{RenderOptions, render};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::{BlendOrder, ColourModel, Footprint, Peeling, ScreenFilter, Transparency};
 use dpges_core::testing::golden::values;
@@ -128,7 +128,7 @@ impl Case {
         let camera = &self.scene.camera;
         let images = [
             render(&surfels, &gaussians, camera, &self.peeled).map(|rendered| rendered.composite.image),
-            render_blended(&gaussians, None, camera, &self.blended, Values::Unknown).map(|rendered| rendered.image),
+            render_blended(&gaussians, camera, &self.blended).map(|rendered| rendered.image),
         ];
         images.map(|image| {
             let image = image?;

@@ -6,7 +6,7 @@ use crate::camera::{Camera, CameraFromWorld, Distortion, Lens, Projection};
 use crate::ops::colour::colour;
 use crate::ops::fixtures::{assert_near, weights};
 use crate::render::blended::{BlendedOptions, render_blended};
-use crate::render::{RenderOptions, Values, render};
+use crate::render::{RenderOptions, render};
 use crate::scene::{Colour, ColourModel, Rendering, SceneInfo};
 use crate::testing::device;
 use crate::testing::golden::values;
@@ -129,7 +129,7 @@ fn a_constant_environment_is_a_background() {
         let background = if in_front { [0.0; 3] } else { sky };
         let info = SceneInfo { rendering: Rendering::Ellipsoids, background, ..SceneInfo::default() };
         let options = BlendedOptions::new(&info).unwrap();
-        let view = render_blended(&gaussians, None, &scene.camera, &options, Values::Unknown).unwrap();
+        let view = render_blended(&gaussians, &scene.camera, &options).unwrap();
         let view = if in_front { view.in_front_of(behind()) } else { view };
         let gradients = (view.image.clone() * view.image.clone()).sum().backward();
         let of = |tensor: &Tensor<2>| values(&tensor.grad(&gradients).unwrap());

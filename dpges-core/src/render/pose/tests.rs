@@ -6,9 +6,9 @@ use crate::losses::depth::surfel_depth;
 use crate::ops::blend::{BlendOptions, Form};
 use crate::ops::environment::environment;
 use crate::ops::peel::PeelOptions;
-use crate::render::blended::{BlendedOptions, Probes, render_blended_probed};
+use crate::render::blended::{BlendedOptions, render_blended};
 use crate::render::summed::{SummedOptions, WeightedSumTensors, render_summed};
-use crate::render::{RenderOptions, Values, render_probed};
+use crate::render::{RenderOptions, ViewRequest, render};
 use crate::scene::{ColourModel, Peeling, WeightedSum};
 use crate::testing::device;
 use crate::testing::golden::values;
@@ -33,28 +33,27 @@ fn scene(seed: u64, kind: Kind, model: ColourModel) -> TestScene {
 /// The image and all else that losses compare, of `scene` from `camera`.
 fn seen(scene: &TestScene, kind: Kind, camera: &Camera, probe: Option<&PoseProbe>) -> Vec<Tensor<3>> {
     let (surfels, gaussians) = scene.tensors(&device(), DType::F64);
+    let view = ViewRequest { pose: probe, ..camera.into() };
     match kind {
         Kind::Peeled => {
             // shares of Gaussians between layers carry no gradient: they are steps here
             let peel = PeelOptions { peeling: Peeling::Nearest, ..PeelOptions::default() };
             let options = RenderOptions { peel, ..RenderOptions::default() };
-            let rendered = render_probed(&surfels, &gaussians, camera, probe, &options, Values::Unknown).unwrap();
+            let rendered = render(&surfels, &gaussians, view, &options).unwrap();
             let depth = surfel_depth(&rendered)[0].clone();
             vec![rendered.composite.image, rendered.composite.surfel_image, depth]
         }
         Kind::Blended(form) => {
             let blend = BlendOptions { form, max_alpha: 0.9, maps: true, ..BlendOptions::default() };
             let options = BlendedOptions { blend, background: [0.2; 3] };
-            let probes = Probes { gaussians: None, pose: probe };
-            let rendered = render_blended_probed(&gaussians, probes, camera, &options, Values::Unknown).unwrap();
+            let rendered = render_blended(&gaussians, view, &options).unwrap();
             vec![rendered.image, rendered.blend.maps.unwrap().depth]
         }
         Kind::Summed => {
             let sum = WeightedSum { sigma: 6.0, ..WeightedSum::default() };
             let common = WeightedSumTensors::new(&sum, &device(), DType::F64);
             let options = SummedOptions { weight: sum.weight, background: [0.2; 3], depth: true };
-            let probes = Probes { gaussians: None, pose: probe };
-            let rendered = render_summed(&gaussians, &common, probes, camera, &options, Values::Unknown).unwrap();
+            let rendered = render_summed(&gaussians, &common, view, &options).unwrap();
             vec![rendered.image, rendered.depth.unwrap()]
         }
     }

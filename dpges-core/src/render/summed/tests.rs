@@ -59,8 +59,8 @@ fn seen(
 ) -> (SummedRender, Gaussians, WeightedSumTensors, Tensor<2>) {
     let (gaussians, common) = numbers.leaves(MODEL);
     let probe = leaf(&vec![0.0; 2 * gaussians.len()], [gaussians.len(), 2], &device());
-    let probes = Probes { gaussians: Some(&probe), pose: None };
-    let view = render_summed(&gaussians, &common, probes, camera, &options(weight), Values::Unknown).unwrap();
+    let view = ViewRequest { probe: Some(&probe), ..camera.into() };
+    let view = render_summed(&gaussians, &common, view, &options(weight)).unwrap();
     (view, gaussians, common, probe)
 }
 
@@ -182,7 +182,6 @@ fn other_scenes_are_refused() {
     let TestScene { gaussians, camera, .. } = scene(6, 3, ColourModel::SphericalHarmonics { degree: 1 });
     let gaussians = Gaussians::from_data(&gaussians, &device(), DType::F64);
     let common = WeightedSumTensors::new(&WeightedSum::default(), &device(), DType::F64);
-    let view =
-        render_summed(&gaussians, &common, Probes::default(), &camera, &options(DepthWeight::Linear), Values::Unknown);
+    let view = render_summed(&gaussians, &common, &camera, &options(DepthWeight::Linear));
     assert!(view.unwrap_err().to_string().contains("`harmonics base`"));
 }

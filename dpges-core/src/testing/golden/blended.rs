@@ -5,7 +5,6 @@ use burn::tensor::{DType, Device};
 
 use super::{Deviation, Found, GoldenCase, golden_name, values};
 use crate::ops::blend::{BlendOptions, Form};
-use crate::render::Values;
 use crate::render::blended::{BlendedOptions, BlendedRender, render_blended};
 use crate::scene::schema::Columns;
 use crate::scene::{BlendOrder, Gaussians, HIGHEST_ALPHA, ScreenFilter, Transparency};
@@ -35,7 +34,7 @@ impl GoldenCase {
         let mut found = Found { case: self, deviations: Vec::new() };
         let gaussians = self.columns::<Gaussians>(&device, dtype).require_grad();
         let options = BlendedOptions { blend, background: self.options.background };
-        let rendered = render_blended(&gaussians, None, &self.camera, &options, Values::Unknown);
+        let rendered = render_blended(&gaussians, &self.camera, &options);
         let BlendedRender { image, blend } = rendered.expect("golden inputs are valid");
         found.image("out.image", &image);
         found.compare("out.alpha", &values(&blend.alpha));

@@ -3,8 +3,6 @@
 use burn::tensor::{DType, Device};
 
 use super::{Deviation, Found, GoldenCase, gradient, values};
-use crate::render::Values;
-use crate::render::blended::Probes;
 use crate::render::summed::{SummedOptions, WeightedSumTensors, render_summed};
 use crate::scene::schema::Columns;
 use crate::scene::{ColourModel, Gaussians};
@@ -26,7 +24,7 @@ impl GoldenCase {
         let sum = WeightedSumTensors { sigma: number(0), beta: number(1), background: number(2) };
         let weight = self.weight.expect("a case of a weighted sum");
         let options = SummedOptions { weight, background: self.options.background, depth: false };
-        let view = render_summed(&gaussians, &sum, Probes::default(), &self.camera, &options, Values::Unknown);
+        let view = render_summed(&gaussians, &sum, &self.camera, &options);
         let view = view.expect("golden inputs are valid");
         found.image("out.image", &view.image);
         found.compare("out.alpha", &values(&view.alpha));

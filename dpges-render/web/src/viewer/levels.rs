@@ -2,7 +2,7 @@
 
 use dpges_core::camera::Camera;
 use dpges_core::scene::lod::{Index, Part};
-use dpges_render::Renderer;
+use dpges_render::RasterRenderer;
 use dpges_render::stream::{DEFAULT_BUDGET, LodScene, Stream, StreamError, decode};
 use js_sys::{Array, Date, Uint8Array};
 use serde::Serialize;
@@ -30,7 +30,7 @@ struct Wanted<'a> {
 
 impl Levels {
     /// Goes on for what `camera` sees, before a frame.
-    pub fn advance(&mut self, renderer: &mut Renderer, camera: &Camera) {
+    pub fn advance(&mut self, renderer: &mut RasterRenderer, camera: &Camera) {
         if let Some(stream) = &mut self.stream {
             self.wanted.extend(stream.update(renderer, camera, now()));
         }

@@ -10,7 +10,7 @@ use dpges_render::frame_times::Rounds;
 use dpges_render::path::Size;
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::frame_rates::{FrameRates, Row};
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 
 use super::super::data::{Scene, ViewArgs, every_nth};
 use super::super::device_choice::watched;
@@ -76,7 +76,7 @@ pub fn run(args: &BenchRenderArgs) -> Result<()> {
     if let Some(request) = args.training {
         let device = device_choice::select(request)?;
         watched(device, || {
-            let renderer = Renderer::new(data, &device.open()?);
+            let renderer = TrainingRenderer::new(data, &device.open()?);
             report.rows.push(Row::of_training(data, &cameras, rounds, &renderer, device.to_string())?);
             Ok(())
         })?;

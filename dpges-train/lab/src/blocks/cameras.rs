@@ -4,7 +4,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::SceneData;
 use dpges_train::dataset::View;
 use dpges_train::device::place::Place;
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -45,7 +45,7 @@ pub fn shares_of_points(cameras: &[&Camera], points: &[[f32; 3]], parts: &[Part]
 /// # Errors
 /// [`dpges_core::Error`] if a view cannot be rendered.
 pub fn shares_of_scene(cameras: &[&Camera], scene: &SceneData, parts: &[Part], place: &Place) -> Result<Vec<Vec<f64>>> {
-    let renderer = Renderer::on_ranks(scene, place);
+    let renderer = TrainingRenderer::on_ranks(scene, place);
     let of_camera = |camera: &&Camera| {
         let smaller = LONGEST_PX as f64 / camera.width.max(camera.height) as f64;
         let [width, height] =

@@ -7,7 +7,7 @@ use dpges_core::scene::SceneData;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_train::dataset::neighbours::as_points;
 use dpges_train::dataset::{Picture, View};
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 use glam::DVec3;
 
 use super::tree::quantiles;
@@ -30,7 +30,7 @@ impl Pictures {
     /// Of `scene` from at most [`CAMERAS`] of `cameras`, for levels 1 to `coarsest`, rendered on `device` at their own size,
     /// cropped to whole pixels of the coarsest; a smaller picture is the mean of two by two pixels of the one before.
     pub fn new(scene: &SceneData, cameras: &[Camera], coarsest: u32, device: &Device) -> Result<Self> {
-        let renderer = Renderer::new(scene, device);
+        let renderer = TrainingRenderer::new(scene, device);
         let stride = cameras.len().div_ceil(CAMERAS).max(1);
         let smaller = |camera: &Camera| (camera.width.min(camera.height) / SMALLEST_PX).max(1).ilog2();
         let most = cameras.iter().map(smaller).min().unwrap_or(0).min(coarsest);

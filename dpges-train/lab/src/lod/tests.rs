@@ -7,7 +7,7 @@ use dpges_core::scene::lod::Index;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourModel, EnvironmentData};
 use dpges_core::testing::scenes::{Recipe, random, realistic};
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 
 use super::*;
 use crate::fixtures::device;
@@ -31,7 +31,7 @@ fn exported(scene: &SceneData, camera: Camera, fit: Option<(usize, &Device)>, ou
 }
 
 fn image(scene: &SceneData, camera: &Camera) -> Vec<f32> {
-    tensor_to_rows(Renderer::new(scene, &device()).render(camera).unwrap().image())
+    tensor_to_rows(TrainingRenderer::new(scene, &device()).render(camera).unwrap().image())
 }
 
 fn psnr(a: &[f32], b: &[f32]) -> f64 {

@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use dpges_core::scene::SceneData;
 use dpges_train::dataset::Dataset;
 use dpges_train::eval::popping::Measured;
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 use dpges_train::eval::{EvalReport, Measures, evaluate_each};
 use dpges_train::metrics::Perceptual;
 use dpges_train::metrics::lpips::Lpips;
@@ -43,7 +43,7 @@ impl Further<'_> {
             return Ok(());
         }
         let scene = SceneData::load(&cell.folder.scene())?;
-        let renderer = Renderer::new(&scene, self.device);
+        let renderer = TrainingRenderer::new(&scene, self.device);
         if lacks_lpips {
             tracing::info!("{}: measuring LPIPS of {} views", cell.folder.path().display(), views.len());
             let measures = Measures::perceptual(self.networks);

@@ -7,7 +7,7 @@ use dpges_core::scene::SceneData;
 use dpges_render::{Rgb8Image, false_colour};
 use dpges_train::dataset::View;
 use dpges_train::eval::pictures::{file_stems, save_png, sheet};
-use dpges_train::eval::rendered::{Renderer, to_picture};
+use dpges_train::eval::rendered::{TrainingRenderer, to_picture};
 use dpges_train::eval::{LARGEST_PSNR, ViewScore};
 
 use super::Result;
@@ -35,7 +35,7 @@ pub fn write(out: &Path, cells: &[&Cell], views: &[View], device: &Device) -> Re
     let mut renders = vec![Vec::<Rgb8Image>::with_capacity(cells.len()); chosen.len()];
     for cell in cells {
         let scene = SceneData::load(&cell.folder.scene())?;
-        let renderer = Renderer::new(&scene, device);
+        let renderer = TrainingRenderer::new(&scene, device);
         for (renders, &view) in renders.iter_mut().zip(&chosen) {
             renders.push(to_picture(renderer.render(&views[view].camera)?.image()));
         }

@@ -10,7 +10,7 @@ use dpges_render::export::mesh::{DepthView, Fusion, FusionOptions, SurfaceSample
 use super::ExportFailure;
 use crate::dataset::View;
 use crate::device::memory::machine_memory_bytes;
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 
 /// Surfels farther than this are not meshed, extents.
 const FARTHEST_EXTENTS: f64 = 4.0;
@@ -39,7 +39,7 @@ pub fn mesh(
     let farthest = FARTHEST_EXTENTS * scene.info.extent;
     let memory = machine_memory_bytes().unwrap_or(4 * MOST_BYTES);
     let max_voxels = (MOST_BYTES.max(memory / 16).min(memory / 4) / VOXEL_BYTES) as usize;
-    let renderer = Renderer::new(scene, device);
+    let renderer = TrainingRenderer::new(scene, device);
     let mut sample = SurfaceSample::default();
     let pixels: usize = views.iter().take(SAMPLED_VIEWS).map(|view| view.camera.width * view.camera.height).sum();
     let stride = ((pixels as f64 / SAMPLED_POINTS as f64).sqrt().ceil() as usize).max(1);
@@ -67,7 +67,7 @@ pub fn mesh(
 
 /// Calls `use_view` with the surfels as `camera` sees them.
 fn with_depth(
-    renderer: &Renderer,
+    renderer: &TrainingRenderer,
     camera: &Camera,
     use_view: impl FnOnce(&DepthView<'_>) -> Result<(), ExportError>,
 ) -> Result<(), ExportFailure> {

@@ -5,7 +5,7 @@ use dpges_core::camera::Camera;
 use dpges_core::scene::tensors::tensor_to_rows;
 use rayon::prelude::*;
 
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 use crate::metrics::quantised;
 
 /// A surface is seen in both frames if its depth agrees to this relative error with that between four pixels, ...
@@ -34,8 +34,8 @@ pub struct Warped {
 }
 
 impl Frame {
-    /// Renders the picture, rounded to 8 bits, and its [median depth](Renderer::render_with_depth).
-    pub fn render(renderer: &Renderer, camera: &Camera) -> Result<Self> {
+    /// Renders the picture, rounded to 8 bits, and its [median depth](TrainingRenderer::render_with_depth).
+    pub fn render(renderer: &TrainingRenderer, camera: &Camera) -> Result<Self> {
         let (view, depth) = renderer.render_with_depth(camera)?;
         Ok(Self { camera: *camera, planes: tensor_to_rows(&quantised(view.image().clone())), depth })
     }

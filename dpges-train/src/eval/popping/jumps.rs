@@ -9,7 +9,7 @@ use dpges_core::render::Render;
 use dpges_core::scene::tensors::tensor_to_rows;
 use serde::{Deserialize, Serialize};
 
-use crate::eval::rendered::{Rendered, Renderer};
+use crate::eval::rendered::{Rendered, TrainingRenderer};
 
 /// Steps of the path that are measured: they double until the number of jumps stands still, or there are no more.
 const STEPS: [usize; 4] = [128, 256, 512, 1024];
@@ -83,8 +83,8 @@ impl Jumps {
     /// Those of `renderer` along `path`, which gives the cameras of a number of steps.
     ///
     /// # Errors
-    /// The errors of [`Renderer::render`].
-    pub fn along(renderer: &Renderer, path: impl Fn(usize) -> Vec<Camera>) -> Result<Self> {
+    /// The errors of [`TrainingRenderer::render`].
+    pub fn along(renderer: &TrainingRenderer, path: impl Fn(usize) -> Vec<Camera>) -> Result<Self> {
         let mut found = Self::default();
         for steps in STEPS {
             let before = std::mem::replace(&mut found, Self::of(renderer, &path(steps))?);
@@ -95,7 +95,7 @@ impl Jumps {
         Ok(found)
     }
 
-    fn of(renderer: &Renderer, cameras: &[Camera]) -> Result<Self> {
+    fn of(renderer: &TrainingRenderer, cameras: &[Camera]) -> Result<Self> {
         let margins = renderer.margins();
         let (mut jumps, mut causes) = ([0usize; 2], None::<Causes>);
         let mut earlier: Option<View> = None;

@@ -20,7 +20,7 @@ use dpges_core::scene::SceneInfo;
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::Dataset;
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 use crate::metrics::flip_map;
 pub use arc::{FRAMES, arc, turn_about_the_middle};
 pub use frame::{Frame, Warped};
@@ -57,8 +57,8 @@ impl Measured {
     /// coordinates of the scene with `info`; `None` if no surface is seen twice.
     ///
     /// # Errors
-    /// Those of [`arc`](fn@arc) and of [`Renderer::render`].
-    pub fn of_scene(renderer: &Renderer, dataset: &Dataset, info: &SceneInfo) -> Result<Option<Self>> {
+    /// Those of [`arc`](fn@arc) and of [`TrainingRenderer::render`].
+    pub fn of_scene(renderer: &TrainingRenderer, dataset: &Dataset, info: &SceneInfo) -> Result<Option<Self>> {
         let Some(mut measured) = Self::along(renderer, &arc(dataset, info)?)? else { return Ok(None) };
         measured.popping.jumps = Some(Jumps::along(renderer, turn_about_the_middle(dataset, info)?)?);
         Ok(Some(measured))
@@ -66,7 +66,7 @@ impl Measured {
 
     /// Popping of the frames of `renderer` along `path`, in the coordinates of its scene; `None` if no surface is seen
     /// twice, or with fewer than 8 cameras.
-    pub fn along(renderer: &Renderer, path: &[Camera]) -> Result<Option<Self>> {
+    pub fn along(renderer: &TrainingRenderer, path: &[Camera]) -> Result<Option<Self>> {
         Self::of(path.iter().map(|camera| Frame::render(renderer, camera)))
     }
 

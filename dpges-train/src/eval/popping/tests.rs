@@ -49,8 +49,8 @@ fn popping(frames: &[Frame]) -> Popping {
     measured(frames).popping
 }
 
-fn renderer(scene: &SceneData) -> Renderer {
-    Renderer::new(scene, &device())
+fn renderer(scene: &SceneData) -> TrainingRenderer {
+    TrainingRenderer::new(scene, &device())
 }
 
 #[test]

@@ -7,7 +7,7 @@ use dpges_core::render::Render;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_render::{Rgb8Image, false_colour};
 
-use super::{Renderer, to_picture};
+use super::{TrainingRenderer, to_picture};
 use crate::eval::pictures::save_png;
 
 /// The layers of a view, one picture each.
@@ -49,7 +49,7 @@ impl LayerPictures {
 }
 
 /// Pictures of the layers of `view`, which `renderer` rendered from `camera`.
-pub fn layer_pictures(renderer: &Renderer, camera: &Camera, view: &Render) -> LayerPictures {
+pub fn layer_pictures(renderer: &TrainingRenderer, camera: &Camera, view: &Render) -> LayerPictures {
     let (width, height) = (camera.width, camera.height);
     let transmittance = tensor_to_rows(&view.seen.transmittance);
     let behind: Vec<&[f32]> = transmittance.chunks_exact(width * height).skip(1).collect();

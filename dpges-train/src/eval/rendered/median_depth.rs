@@ -5,7 +5,7 @@ use dpges_core::scene::tensors::tensor_to_rows;
 
 use super::Rendered;
 
-/// [height × width] see [`Renderer::render_with_depth`](super::Renderer::render_with_depth); 0 everywhere for blended
+/// [height × width] see [`TrainingRenderer::render_with_depth`](super::TrainingRenderer::render_with_depth); 0 everywhere for blended
 /// and summed Gaussians without maps.
 pub(super) fn median_depth(view: &Rendered, camera: &Camera) -> Vec<f32> {
     let area = camera.width * camera.height;

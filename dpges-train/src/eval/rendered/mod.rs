@@ -14,10 +14,10 @@ use dpges_core::ops::composite::{Geometry, geometry};
 use dpges_core::ops::environment::environment;
 use dpges_core::ops::peel::PeelOptions;
 use dpges_core::ranks::{Alone, Ranks};
-use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended_probed};
+use dpges_core::render::blended::{BlendedOptions, BlendedRender, render_blended};
 use dpges_core::render::pose::PoseProbe;
 use dpges_core::render::summed::{SummedOptions, SummedRender, WeightedSumTensors, render_summed};
-use dpges_core::render::{Render, RenderOptions, Values, render_on_ranks};
+use dpges_core::render::{Render, RenderOptions, Values, ViewRequest, render};
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use dpges_core::scene::{Gaussians, Rendering, SceneData, Surfels};
@@ -43,7 +43,7 @@ pub fn scaled(camera: &Camera, factor: f64) -> Camera {
 
 /// A scene as f32 tensors, with the options that it was trained with.
 #[derive(Clone, Debug)]
-pub struct Renderer {
+pub struct TrainingRenderer {
     pub(super) surfels: Surfels,
     pub(super) gaussians: Gaussians,
     /// Those that `gaussians` are sharded over.
@@ -105,7 +105,7 @@ impl Rendered {
     }
 }
 
-impl Renderer {
+impl TrainingRenderer {
     /// Uploads `scene` to `device`.
     pub fn new(scene: &SceneData, device: &Device) -> Self {
         Self::on_ranks(scene, &device.clone().into())
@@ -165,9 +165,9 @@ impl Renderer {
     /// Renders the view from `camera`, in the coordinates of the scene.
     ///
     /// # Errors
-    /// As [`render_on_ranks`], [`render_blended_probed`] and [`render_summed`].
+    /// As [`render`], [`render_blended`] and [`render_summed`].
     pub fn render(&self, camera: &Camera) -> Result<Rendered> {
-        self.render_with(camera, &self.options, None, Values::Unknown)
+        self.render_with(&self.options, camera.into())
     }
 
     /// All ranks that render this scene.
@@ -205,7 +205,8 @@ impl Renderer {
             }
             other => other,
         };
-        Ok(taped.render_with(camera, &options, Some(probe), Values::KnownFinite)?.image().clone())
+        let view = ViewRequest { pose: Some(probe), values: Values::KnownFinite, ..camera.into() };
+        Ok(taped.render_with(&options, view)?.image().clone())
     }
 
     /// The view from `camera` and its median depth [height × width]: that of the first surfel, or of the first
@@ -221,32 +222,21 @@ impl Renderer {
             Options::Blended(options) => options.blend.maps = true,
             Options::Summed(options, _) => options.depth = true,
         }
-        let rendered = self.render_with(camera, &options, None, Values::Unknown)?;
+        let rendered = self.render_with(&options, camera.into())?;
         let depth = median_depth::median_depth(&rendered, camera);
         Ok((rendered, depth))
     }
 
-    fn render_with(
-        &self,
-        camera: &Camera,
-        options: &Options,
-        pose: Option<&PoseProbe>,
-        values: Values,
-    ) -> Result<Rendered> {
-        let (surfels, gaussians, probes) = (&self.surfels, &self.gaussians, Probes { gaussians: None, pose });
+    fn render_with(&self, options: &Options, view: ViewRequest<'_>) -> Result<Rendered> {
+        let (surfels, gaussians, ViewRequest { camera, pose, .. }) = (&self.surfels, &self.gaussians, view);
         let rendered = match options {
             Options::Peeled(options) => {
-                let ranks = &*self.ranks;
-                let rendered = render_on_ranks(surfels, gaussians, camera, pose, options, values, ranks)?;
-                Rendered::Peeled(Box::new(rendered))
+                let view = ViewRequest { ranks: &*self.ranks, ..view };
+                Rendered::Peeled(Box::new(render(surfels, gaussians, view, options)?))
             }
-            Options::Blended(options) => {
-                let rendered = render_blended_probed(gaussians, probes, camera, options, values)?;
-                Rendered::Blended(Box::new(rendered))
-            }
+            Options::Blended(options) => Rendered::Blended(Box::new(render_blended(gaussians, view, options)?)),
             Options::Summed(options, common) => {
-                let rendered = render_summed(gaussians, common, probes, camera, options, values)?;
-                Rendered::Summed(Box::new(rendered))
+                Rendered::Summed(Box::new(render_summed(gaussians, common, view, options)?))
             }
         };
         let Some(coefficients) = &self.environment else { return Ok(rendered) };
@@ -258,7 +248,7 @@ impl Renderer {
     /// the scene, does not say which view saw what.
     ///
     /// # Errors
-    /// As [`render_on_ranks`].
+    /// As [`render`].
     pub fn floaters(&self, dataset: &Dataset) -> Result<Option<Floaters>> {
         let visibility = self.visibility(dataset)?;
         let Some(Floaters { surfels, gaussians }) = visibility.map(|visibility| visibility.floaters()) else {
@@ -272,7 +262,7 @@ impl Renderer {
     /// The votes by which primitives on this rank float, under the same conditions.
     ///
     /// # Errors
-    /// As [`render_on_ranks`].
+    /// As [`render`].
     pub fn visibility(&self, dataset: &Dataset) -> Result<Option<Visibility>> {
         let peel = match &self.options {
             Options::Peeled(options) => options.peel,
@@ -284,7 +274,7 @@ impl Renderer {
     /// How long pictures from `cameras` take.
     ///
     /// # Errors
-    /// As [`render_on_ranks`].
+    /// As [`render`].
     pub fn frame_times(&self, cameras: &[Camera], rounds: Rounds) -> Result<FrameTimes> {
         let mut times = Vec::new();
         for round in 0..rounds.warm_up + rounds.counted {

@@ -7,7 +7,7 @@ use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel, SH_C0, SceneData};
 
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 
 /// Sums over the pixels of all views, in pixels.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,7 +24,7 @@ impl Contributions {
     /// weights. Colours are replaced by grey: one that is clamped has no gradient.
     ///
     /// # Errors
-    /// The errors of [`Renderer::render`].
+    /// The errors of [`TrainingRenderer::render`].
     pub fn measure(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
         Self::fold(scene, cameras, device, |sum, weight| *sum += weight)
     }
@@ -33,7 +33,7 @@ impl Contributions {
     /// away their absolute value.
     ///
     /// # Errors
-    /// The errors of [`Renderer::render`].
+    /// The errors of [`TrainingRenderer::render`].
     pub fn largest(scene: &SceneData, cameras: &[Camera], device: &Device) -> Result<Self> {
         Self::fold(scene, cameras, device, |most, weight| *most = weight.abs().max(*most))
     }
@@ -43,7 +43,7 @@ impl Contributions {
         let mut scene = SceneData { environment: None, ..scene.clone() };
         scene.surfels.colour = grey(scene.surfels.model(), scene.surfels.len());
         scene.gaussians.colour = grey(scene.gaussians.model(), scene.gaussians.len());
-        let mut renderer = Renderer::new(&scene, &device.clone().autodiff());
+        let mut renderer = TrainingRenderer::new(&scene, &device.clone().autodiff());
         for base in [&mut renderer.surfels.colour.base, &mut renderer.gaussians.colour.base] {
             *base = base.clone().require_grad();
         }
@@ -113,7 +113,7 @@ mod tests {
     }
 
     fn sum(scene: &SceneData, camera: &Camera) -> f64 {
-        let render = Renderer::new(scene, &device()).render(camera).unwrap();
+        let render = TrainingRenderer::new(scene, &device()).render(camera).unwrap();
         tensor_to_rows(render.image()).iter().map(|&x| f64::from(x)).sum()
     }
 

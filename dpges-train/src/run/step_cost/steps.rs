@@ -8,7 +8,7 @@ use dpges_core::scene::tensors::tensor_to_rows;
 
 use crate::config::StageKind;
 use crate::dataset::{Picture, View};
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 use crate::run::own_pictures::{StepStage, config, dataset, last_stage};
 use crate::run::{StepReport, TrainError};
 use crate::stage::{self, Context, PendingStep, Stage, StepViews, begin_step};
@@ -105,7 +105,7 @@ impl Steps {
 
 /// Views of `scene` from `cameras` as photographs.
 fn pictures(scene: &SceneData, cameras: &[Camera], device: &Device) -> dpges_core::Result<Vec<View>> {
-    let renderer = Renderer::new(scene, device);
+    let renderer = TrainingRenderer::new(scene, device);
     let view = |(number, camera): (usize, &Camera)| -> dpges_core::Result<View> {
         let image = tensor_to_rows(renderer.render(camera)?.image());
         let planes: Vec<f32> = image.into_iter().map(|value| DARKER * value.clamp(0.0, 1.0)).collect();

@@ -1,13 +1,13 @@
 //! The terms of the loss of blended Gaussians beside L_rgb.
 
 use burn::tensor::Tensor;
-use dpges_core::camera::Camera;
 use dpges_core::losses::geometry::{expected_depth, normal_consistency, normals_from_depth};
-use dpges_core::losses::{Mask, mean_of_counted};
+use dpges_core::losses::{Losses, mean_of_counted};
 use dpges_core::ops::blend::Maps;
 use dpges_core::render::blended::BlendedRender;
 use dpges_core::scene::Gaussians;
 
+use super::super::StepInput;
 use super::schedule::RELOCATION;
 use crate::config::{DiscsConfig, Relocation, RelocationConfig, StagePlan};
 use crate::optimizer::unit_of;
@@ -47,7 +47,8 @@ impl Weights {
     pub fn of_relocated(
         config: &RelocationConfig,
         kind: Relocation,
-        (plan, completed): (StagePlan, usize),
+        plan: StagePlan,
+        completed: usize,
         extent: f64,
     ) -> Self {
         let relocates = (plan.scaled(RELOCATION.start)..plan.scaled(RELOCATION.end)).contains(&completed);
@@ -63,32 +64,24 @@ impl Weights {
         self.normal > 0.0 || self.distortion > 0.0
     }
 
-    /// `rgb` [1] plus the weighted terms. Those of pixels are means over the pixels that count.
-    pub fn add(
-        &self,
-        rgb: Tensor<1>,
-        gaussians: &Gaussians,
-        rendered: &BlendedRender,
-        camera: &Camera,
-        mask: Option<&Mask>,
-    ) -> Tensor<1> {
-        let mut total = rgb;
+    /// Adds the terms to `losses`. Those of pixels are means over the pixels that count.
+    pub fn add_to(&self, losses: &mut Losses, gaussians: &Gaussians, rendered: &BlendedRender, input: &StepInput<'_>) {
         if self.opacity > 0.0 {
-            total = total + self.mean_opacity(&gaussians.opacities) * self.opacity;
+            losses.add("opacity", self.mean_opacity(&gaussians.opacities), self.opacity);
         }
         if self.scale > 0.0 {
-            total = total + gaussians.log_scales.clone().exp().mean() * self.scale;
+            losses.add("gaussian_scale", gaussians.log_scales.clone().exp().mean(), self.scale);
         }
-        let Some(Maps { depth, normal, distortion, .. }) = rendered.blend.maps.clone() else { return total };
+        let Some(Maps { depth, normal, distortion, .. }) = rendered.blend.maps.clone() else { return };
+        let mask = input.target.mask.as_ref();
         if self.normal > 0.0 {
             let alpha = rendered.blend.alpha.clone();
-            let depth_normal = normals_from_depth(expected_depth(depth, alpha.clone()), camera);
-            total = total + normal_consistency(normal, depth_normal, alpha, mask) * self.normal;
+            let depth_normal = normals_from_depth(expected_depth(depth, alpha.clone()), &input.view.camera);
+            losses.add("normal", normal_consistency(normal, depth_normal, alpha, mask), self.normal);
         }
         if self.distortion > 0.0 {
-            total = total + mean_of_counted(distortion, mask) * self.distortion;
+            losses.add("distortion", mean_of_counted(distortion, mask), self.distortion);
         }
-        total
     }
 
     fn mean_opacity(&self, opacities: &Tensor<2>) -> Tensor<1> {
@@ -109,7 +102,7 @@ mod tests {
         let mean = |kind: Relocation, method: Method| {
             let mut config = Config::default();
             config.train.method = method;
-            let weights = Weights::of_relocated(&config.relocation, kind, (config.plan(0)[0], 0), 1.0);
+            let weights = Weights::of_relocated(&config.relocation, kind, config.plan(0)[0], 0, 1.0);
             values(&weights.mean_opacity(&Tensor::from_floats([[-0.5], [0.25]], &device())))[0]
         };
         assert_eq!(mean(Relocation::Student, Method::Sss), 0.375);

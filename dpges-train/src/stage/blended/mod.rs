@@ -13,11 +13,11 @@ use std::sync::Arc;
 use burn::tensor::{DType, Device, Tensor};
 use dpges_core::camera::Camera;
 use dpges_core::losses::geometry::expected_depth;
-use dpges_core::losses::{Losses, rgb_and_error};
+use dpges_core::losses::rgb;
 use dpges_core::ops::jitter::NoiseGate;
-use dpges_core::ops::photometric::Photometric;
 use dpges_core::ranks::Ranks;
-use dpges_core::render::blended::{BlendedOptions, BlendedRender, Probes, render_blended_probed};
+use dpges_core::render::ViewRequest;
+use dpges_core::render::blended::{BlendedOptions, BlendedRender, render_blended};
 use dpges_core::render::summed::{SummedOptions, SummedRender, render_summed};
 use dpges_core::scene::tensors::rows_to_tensor;
 use dpges_core::scene::{
@@ -236,7 +236,7 @@ impl BlendedStage {
             Blended::Discs => Weights::of_discs(&config.discs, self.plan, completed),
             Blended::Controlled(_) => Weights::default(),
             Blended::Relocated(kind) => {
-                Weights::of_relocated(&config.relocation, kind, (self.plan, completed), self.info.extent)
+                Weights::of_relocated(&config.relocation, kind, self.plan, completed, self.info.extent)
             }
         }
     }
@@ -331,42 +331,33 @@ impl Stage for BlendedStage {
     }
 
     fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass> {
-        let camera = &input.view.camera;
         let tape = context.tape();
         let probe = self.probe(input.completed, &tape);
         let gaussians = &self.drawn_on_tape(&leaves.gaussians, input.completed, &tape);
         let weights = self.weights(input.completed, &context.config);
-        let environment =
-            leaves.environment.as_ref().map(|coefficients| input.environment(coefficients)).transpose()?;
+        let environment = input.environment(&leaves.environment)?;
         let share = context.config.train.lambda_dssim;
-        let compare = |image: Tensor<3>| rgb_and_error(&input.photographed(image), &input.target, share);
-        let (compared, mut total, depth, alpha) = if let Some(common) = &leaves.weighted_sum {
+        let compare = |image: Tensor<3>| rgb(&input.photographed(image), input.target.clone(), share);
+        let (mut losses, depth, alpha) = if let Some(common) = &leaves.weighted_sum {
             let options = SummedOptions { depth: input.depth.is_some(), ..SummedOptions::new(&self.info)? };
             let probe = probe.as_ref().map(|probe| probe.clone().slice([0..gaussians.len(), 0..2]));
-            let probes = Probes { gaussians: probe.as_ref(), pose: input.pose };
-            let rendered = render_summed(gaussians, common, probes, camera, &options, input.values)?;
+            let request = ViewRequest { probe: probe.as_ref(), ..input.request() };
+            let rendered = render_summed(gaussians, common, request, &options)?;
             let rendered = environment.into_iter().fold(rendered, SummedRender::in_front_of);
-            let compared = compare(rendered.image)?;
-            let total = compared.value.clone();
-            (compared, total, rendered.depth, rendered.alpha)
+            (compare(rendered.image)?, rendered.depth, rendered.alpha)
         } else {
             let mut options = BlendedOptions::new(&self.info)?;
             options.blend.maps = weights.need_maps() || input.depth.is_some();
-            let probes = Probes { gaussians: probe.as_ref(), pose: input.pose };
-            let rendered = render_blended_probed(gaussians, probes, camera, &options, input.values)?;
+            let request = ViewRequest { probe: probe.as_ref(), ..input.request() };
+            let rendered = render_blended(gaussians, request, &options)?;
             let rendered = environment.into_iter().fold(rendered, BlendedRender::in_front_of);
-            let compared = compare(rendered.image.clone())?;
-            let mask = input.target.mask.as_ref();
-            let total = weights.add(compared.value.clone(), gaussians, &rendered, camera, mask);
-            (compared, total, rendered.blend.maps.map(|maps| maps.depth), rendered.blend.alpha)
+            let mut losses = compare(rendered.image.clone())?;
+            weights.add_to(&mut losses, gaussians, &rendered, input);
+            (losses, rendered.blend.maps.map(|maps| maps.depth), rendered.blend.alpha)
         };
         if let (Some(target), Some(depth)) = (&input.depth, depth) {
-            total = total + target.loss(expected_depth(depth, alpha.clone()), alpha)?;
+            losses.add("depth", target.loss(expected_depth(depth, alpha.clone()), alpha)?, target.weight);
         }
-        let Photometric { value: rgb, squared_error } = compared;
-        let none = Tensor::zeros([1], (&tape, DType::F32));
-        let [surfel, scale] = [none.clone(), none.clone()];
-        let losses = Losses { rgb, surfel, scale, transmittance: none, total, squared_error };
         Ok(ForwardPass { losses, probe, statistics: None })
     }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use dpges_core::losses::Target;
 use dpges_core::ops::peel::MAX_LAYERS;
-use dpges_core::render::{Values, render_on_ranks};
+use dpges_core::render::{Values, ViewRequest, render};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{ColourData, ColourModel};
 
@@ -82,8 +82,9 @@ impl JointStage {
         let mut shares = vec![0.0; MAX_LAYERS];
         let views: Vec<&View> = judging_views(context).collect();
         for view in &views {
-            let (camera, ranks) = (&view.camera, &*self.sharding.ranks);
-            let rendered = render_on_ranks(&surfels, &gaussians, camera, None, &options, Values::KnownFinite, ranks)?;
+            let request =
+                ViewRequest { values: Values::KnownFinite, ranks: &*self.sharding.ranks, ..(&view.camera).into() };
+            let rendered = render(&surfels, &gaussians, request, &options)?;
             let pixels = view.camera.width * view.camera.height;
             let open = open_share(&tensor_to_rows(&rendered.seen.transmittance), pixels);
             shares.iter_mut().zip(open).for_each(|(sum, share)| *sum += share / views.len() as f64);

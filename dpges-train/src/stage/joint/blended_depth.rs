@@ -4,8 +4,8 @@ use burn::tensor::{DType, Device, Tensor};
 use dpges_core::camera::Camera;
 use dpges_core::losses::geometry::expected_depth;
 use dpges_core::ops::blend::Maps;
-use dpges_core::render::Values;
 use dpges_core::render::blended::{BlendedOptions, render_blended};
+use dpges_core::render::{Values, ViewRequest};
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{GaussianData, Gaussians, SceneInfo};
 
@@ -35,7 +35,8 @@ impl BlendedMaps {
 
     /// The maps of a view, and alpha [1, H, W].
     pub fn seen_by(&self, camera: &Camera) -> dpges_core::Result<(Maps, Tensor<3>)> {
-        let blend = render_blended(&self.gaussians, None, camera, &self.options, Values::KnownFinite)?.blend;
+        let view = ViewRequest { values: Values::KnownFinite, ..camera.into() };
+        let blend = render_blended(&self.gaussians, view, &self.options)?.blend;
         Ok((blend.maps.expect("maps were asked for"), blend.alpha))
     }
 

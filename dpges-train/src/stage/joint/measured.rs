@@ -3,12 +3,13 @@
 use std::sync::Arc;
 
 use burn::tensor::{DType, Device, Tensor};
+use dpges_core::losses::Losses;
 use dpges_core::losses::points::point_distance;
-use dpges_core::scene::Surfels;
 use dpges_core::scene::tensors::{rows_to_tensor, tensor_to_rows};
 use rayon::prelude::*;
 
 use super::super::Context;
+use super::RenderedView;
 use crate::dataset::Dataset;
 use crate::dataset::neighbours::{Sites, as_points};
 use crate::optimizer::unit_of;
@@ -81,11 +82,14 @@ impl MeasuredPoints {
     pub fn column(&self) -> Vec<f32> {
         tensor_to_rows(&self.targets)
     }
+}
 
-    /// The weighted loss of `surfels` on a tape.
-    pub fn loss(&self, surfels: &Surfels) -> dpges_core::Result<Tensor<1>> {
-        Ok(point_distance(surfels, self.targets.clone().autodiff())? * self.weight)
+/// The distance of surfels to measured points.
+pub fn points(view: &RenderedView<'_>, losses: &mut Losses) -> dpges_core::Result<()> {
+    if let Some(MeasuredPoints { targets, weight, .. }) = &view.stage.measured {
+        losses.add("points", point_distance(view.own_surfels, targets.clone().autodiff())?, *weight);
     }
+    Ok(())
 }
 
 #[cfg(test)]

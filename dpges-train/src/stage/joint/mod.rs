@@ -5,6 +5,7 @@ mod blended_depth;
 mod depth_surfels;
 mod dropout;
 mod limits;
+mod losses;
 mod measured;
 mod refine;
 mod schedule;
@@ -17,14 +18,10 @@ mod surfel_fit;
 
 use std::sync::Arc;
 
-use burn::tensor::Tensor;
 use dpges_core::camera::Camera;
-use dpges_core::losses::depth::surfel_depth;
-use dpges_core::losses::geometry::{GeometryWeights, geometry};
-use dpges_core::losses::{LossWeights, hidden, losses};
 use dpges_core::ranks::Ranks;
-use dpges_core::render::{RenderOptions, render_on_ranks};
-use dpges_core::scene::{Gaussians, Rendering, SceneData, SceneInfo};
+use dpges_core::render::{Render, RenderOptions, ViewRequest, render};
+use dpges_core::scene::{Gaussians, Rendering, SceneData, SceneInfo, Surfels};
 
 use super::{
     Context, EnvironmentState, ForwardPass, Leaves, Observed, Parameters, Stage, StageCheckpoint, StepInput, StepRates,
@@ -33,7 +30,6 @@ use super::{
 use crate::config::{Config, OpacityActivation, StagePlan};
 use crate::init::InitialScene;
 use crate::optimizer::scene_state::{GaussianState, Rates, SurfelState};
-use crate::optimizer::unit_of;
 use crate::refine::growth::Growth;
 use crate::refine::prune::drawn;
 pub use limits::SamplingLimits;
@@ -69,6 +65,19 @@ pub struct JointStage {
     pub growth: Option<Growth>,
     /// `None` unless the run trains a block.
     pub surroundings: Option<Arc<Surroundings>>,
+}
+
+/// A training view that the stage has rendered.
+pub struct RenderedView<'a> {
+    stage: &'a JointStage,
+    context: &'a Context,
+    input: &'a StepInput<'a>,
+    rendered: &'a Render,
+    /// All that it was rendered from, those of the stage first.
+    surfels: &'a Surfels,
+    /// Those of the stage, on the tape.
+    own_surfels: &'a Surfels,
+    own_gaussians: &'a Gaussians,
 }
 
 impl JointStage {
@@ -177,87 +186,27 @@ impl Stage for JointStage {
     }
 
     fn forward(&self, leaves: &Leaves, input: &StepInput<'_>, context: &Context) -> dpges_core::Result<ForwardPass> {
-        let mut own = (self.drawn_surfels(&leaves.surfels), self.drawn_gaussians(&leaves.gaussians));
+        let own_surfels = &self.drawn_surfels(&leaves.surfels);
+        let mut own_gaussians = self.drawn_gaussians(&leaves.gaussians);
         // indoors and on objects leaving out gained nothing
         if leaves.environment.is_some() {
-            self.drop_out(&mut own.1, input.completed, context);
+            self.drop_out(&mut own_gaussians, input.completed, context);
         }
-        let all = self.surroundings.as_ref().map(|around| around.on_tape(&own.0, &own.1));
-        let (own_surfels, own_gaussians) = &own;
-        let (surfels, gaussians) = all.as_ref().unwrap_or(&own);
-        let camera = &input.view.camera;
-        let options = self.render_options(&context.config);
-        let ranks = &*self.sharding.ranks;
-        let rendered = render_on_ranks(surfels, gaussians, camera, input.pose, &options, input.values, ranks)?;
-        let mut rendered = match &leaves.environment {
-            Some(coefficients) => rendered.in_front_of(input.environment(coefficients)?),
-            None => rendered,
-        };
+        let own_gaussians = &own_gaussians;
+        let all = self.surroundings.as_ref().map(|around| around.on_tape(own_surfels, own_gaussians));
+        let (surfels, gaussians) = all.as_ref().map_or((own_surfels, own_gaussians), |all| (&all.0, &all.1));
+        let request = ViewRequest { ranks: &*self.sharding.ranks, ..input.request() };
+        let rendered = render(surfels, gaussians, request, &self.render_options(&context.config))?;
+        let mut rendered = input.environment(&leaves.environment)?.into_iter().fold(rendered, Render::in_front_of);
         // last, since an exposure belongs to the photograph, environment included, and not to the scene
         rendered.composite.image = input.photographed(rendered.composite.image);
         rendered.composite.surfel_image = input.photographed(rendered.composite.surfel_image);
-        let mut statistics = self.statistics.clone();
+        let view =
+            RenderedView { stage: self, context, input, rendered: &rendered, surfels, own_surfels, own_gaussians };
         // on a clone: a pass is repeated if a list had no room, and must be idempotent
-        statistics.observe(
-            &rendered,
-            own_gaussians,
-            surfels.len(),
-            camera,
-            &input.target,
-            (&self.schedule, input.completed),
-        )?;
-        let train = &context.config.train;
-        let weights = LossWeights {
-            dssim: train.lambda_dssim,
-            surfel: train.lambda_surfel,
-            scale: train.lambda_scale,
-            transmittance: train.lambda_transmittance,
-        };
-        // surfels of other blocks are constants: L_scale is that of this stage's own
-        let mut losses = losses(&rendered, own_surfels.log_scales.clone(), input.target.clone(), &weights)?;
-        let mask = input.target.mask.as_ref();
-        let of_counted = |mean: Tensor<1>| mask.map_or(mean.clone(), |mask| mask.of_counted(mean));
-        // both terms are those of 3DGS-MCMC; scales in extents, so that the unit of the dataset does not matter
-        if leaves.environment.is_some() && !self.sharding.is_empty() {
-            let opacity = self.sharding.mean(own_gaussians.opacities.clone().abs()) * train.lambda_opacity;
-            let scale = self.sharding.mean(own_gaussians.log_scales.clone().exp())
-                * (train.lambda_gaussian_scale / self.info.extent);
-            losses.total = losses.total + opacity + scale;
-        }
-        if let Some(measured) = &self.measured {
-            losses.total = losses.total + measured.loss(own_surfels)?;
-        }
-        let sky = match &self.sky {
-            Some(sky) => {
-                let picture = input.view.picture()?;
-                sky.of(input.index, &picture, &context.tape())
-            }
-            None => None,
-        };
-        if let Some(sky) = sky {
-            losses.total = losses.total + of_counted(hidden(&rendered, sky)) * train.lambda_sky;
-        }
-        if let Some(target) = &input.depth {
-            let [depth, coverage] = surfel_depth(&rendered);
-            losses.total = losses.total + target.loss(depth, coverage)?;
-        }
-        if let Some(supervisions) = &self.supervisions {
-            let supervision = supervisions.of(input.index, input.view, &context.tape())?;
-            let supervision = match mask {
-                Some(mask) => supervision.within(mask),
-                None => supervision,
-            };
-            let weights = GeometryWeights {
-                // published in world units, of which a fifth of the extent is one here
-                depth: train.lambda_disc_depth / unit_of(self.info.extent),
-                normal: train.lambda_disc_normal,
-                depth_normal: train.lambda_disc_depth_normal,
-            };
-            let seen = input.pose.map(|probe| probe.surfels(surfels));
-            let surfels = seen.as_ref().unwrap_or(surfels);
-            losses.total = losses.total + of_counted(geometry(&rendered, surfels, camera, &supervision, &weights)?);
-        }
-        Ok(ForwardPass { losses, probe: None, statistics: Some(statistics) })
+        let mut statistics = self.statistics.clone();
+        statistics.observe(&view)?;
+        Ok(ForwardPass { losses: view.losses()?, probe: None, statistics: Some(statistics) })
     }
 
     fn observe(&mut self, observed: Observed, _: &[Camera]) {

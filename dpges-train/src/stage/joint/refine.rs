@@ -2,7 +2,7 @@
 
 use dpges_core::losses::Target;
 use dpges_core::ops::environment::environment;
-use dpges_core::render::{Render, Values, render_on_ranks};
+use dpges_core::render::{Render, Values, ViewRequest, render};
 use dpges_core::scene::GaussianData;
 use dpges_core::scene::tensors::tensor_to_rows;
 use rand::RngExt;
@@ -119,9 +119,8 @@ impl JointStage {
         let before = self.sharding.len();
         let factor = context.config.refine.split_factor;
         let gaussians = self.sharding.all_data(self.gaussians.to_data());
-        let limits = (room, self.bounds());
-        let (edit, too_large) =
-            split(&gaussians, &surfels.positions, &surfels.margins, factor, limits, &mut context.rng);
+        let (positions, margins, bounds) = (&surfels.positions, &surfels.margins, self.bounds());
+        let (edit, too_large) = split(&gaussians, positions, margins, factor, room, bounds, &mut context.rng);
         self.edit_gaussians(&edit, context);
         format!("{} of {too_large} Gaussians split that are too large, of {before}", self.sharding.len() - before)
     }
@@ -165,7 +164,7 @@ impl JointStage {
         let gaussians = self.sharding.all_data(self.gaussians.to_data());
         let errors = self.sharding.all_of(self.statistics.errors(), 1);
         let Renewal { rows: keep, opacities, copies } =
-            renew(&gaussians, &errors, (target, self.bounds()), true, &mut context.rng);
+            renew(&gaussians, &errors, target, self.bounds(), true, &mut context.rng);
         // in two edits, because the shared opacities are those of the rows that stay
         self.edit_gaussians(&GaussianEdit { keep, added: GaussianData::neutral(self.info.colour_model, 0) }, context);
         self.gaussians.set_opacities(&self.sharding.own_of(&opacities, 1));
@@ -232,9 +231,9 @@ impl JointStage {
         if let Some(around) = &self.surroundings {
             drawn = around.values(&drawn.0, &drawn.1);
         }
-        let options = self.render_options(&context.config);
-        let (camera, ranks) = (&view.camera, &*self.sharding.ranks);
-        let rendered = render_on_ranks(&drawn.0, &drawn.1, camera, None, &options, Values::KnownFinite, ranks)?;
+        let request =
+            ViewRequest { values: Values::KnownFinite, ranks: &*self.sharding.ranks, ..(&view.camera).into() };
+        let rendered = render(&drawn.0, &drawn.1, request, &self.render_options(&context.config))?;
         Ok(match &self.environment {
             Some(coefficients) => rendered.in_front_of(environment(&coefficients.raw(), &view.camera)?),
             None => rendered,

@@ -1,9 +1,11 @@
 //! Pixels that are known to be sky belong to the environment.
 
-use burn::tensor::{DType, Device, Tensor, TensorData};
+use burn::tensor::{DType, Tensor, TensorData};
 use dpges_core::counters::transfers::upload;
+use dpges_core::losses::{Losses, hidden};
 
 use super::super::{Context, EnvironmentState};
+use super::RenderedView;
 use crate::dataset::Picture;
 use crate::init::sky_detection::Skies;
 
@@ -23,16 +25,18 @@ impl SkyMasks {
             sky.pixels(picture).into_iter().for_each(|pixel| values[pixel] = 0.0);
         }
     }
+}
 
-    /// [1, H, W] 1 where the training view with index `index`, of this `picture`, shows nothing but sky; `None` if it does
-    /// so nowhere.
-    pub fn of(&self, index: usize, picture: &Picture, device: &Device) -> Option<Tensor<3>> {
-        let sky = self.0.of(index, picture)?;
+/// What surfels and Gaussians hide of the environment where the view shows nothing but sky.
+pub fn sky(view: &RenderedView<'_>, losses: &mut Losses) -> dpges_core::Result<()> {
+    let Some(SkyMasks(skies)) = &view.stage.sky else { return Ok(()) };
+    let picture = view.input.view.picture()?;
+    if let Some(sky) = skies.of(view.input.index, &picture) {
         let mut values = vec![0.0f32; picture.area()];
-        sky.pixels(picture).into_iter().for_each(|pixel| values[pixel] = 1.0);
-        Some(Tensor::from_data(
-            upload(TensorData::new(values, [1, picture.height, picture.width])),
-            (device, DType::F32),
-        ))
+        sky.pixels(&picture).into_iter().for_each(|pixel| values[pixel] = 1.0);
+        let mask = upload(TensorData::new(values, [1, picture.height, picture.width]));
+        let mask = Tensor::from_data(mask, (&view.context.tape(), DType::F32));
+        losses.add("sky", view.of_counted(hidden(view.rendered, mask)), view.context.config.train.lambda_sky);
     }
+    Ok(())
 }

@@ -1,16 +1,14 @@
 //! Statistics of the views since the last refinement, by which primitives are pruned and copied. They stay on the device.
 
 use burn::tensor::{DType, Device, Int, Tensor, TensorData};
-use dpges_core::camera::Camera;
 use dpges_core::losses::Target;
 use dpges_core::ops::coverage::coverage;
 use dpges_core::ops::splat::contributions;
 use dpges_core::render::Render;
-use dpges_core::scene::Gaussians;
 use dpges_core::scene::schema::Columns;
 use dpges_core::scene::tensors::tensor_to_rows;
 
-use super::schedule::Schedule;
+use super::RenderedView;
 
 /// Most views whose errors are observed before new Gaussians are made.
 const MOST_ERRORS: usize = 60;
@@ -74,18 +72,10 @@ impl Statistics {
         *self = Self { max_pixels: self.max_pixels.clone(), ..Self::new(0, count, &self.errors.device()) };
     }
 
-    /// Adds one view and its photograph, as far as a schedule needs it after a number of completed steps. It was rendered from
-    /// `surfels` surfels, the first of which are those of the stage, and from the `gaussians` of the stage, on a tape, and
-    /// others after them.
-    pub fn observe(
-        &mut self,
-        render: &Render,
-        gaussians: &Gaussians,
-        surfels: usize,
-        camera: &Camera,
-        target: &Target,
-        (schedule, completed_steps): (&Schedule, usize),
-    ) -> dpges_core::Result<()> {
+    /// Adds one view and its photograph, as far as the schedule needs it.
+    pub fn observe(&mut self, view: &RenderedView<'_>) -> dpges_core::Result<()> {
+        let (render, schedule, completed_steps) = (view.rendered, &view.stage.schedule, view.input.completed);
+        let (camera, target, surfels) = (&view.input.view.camera, &view.input.target, view.surfels.len());
         // once nothing more will be pruned, views need not be observed for it
         let later = |steps: &[usize]| steps.last().is_some_and(|&last| completed_steps < last);
         let [own] = self.max_pixels.dims();
@@ -102,7 +92,7 @@ impl Statistics {
         if count == 0 || !(prunes || copies) {
             return Ok(());
         }
-        let gaussians = gaussians.map_ref(|_, values| values.clone().inner());
+        let gaussians = view.own_gaussians.map_ref(|_, values| values.clone().inner());
         let (limits, gates) = (render.seen.limits.clone().inner(), gates(render));
         if prunes {
             let mut colours = render.gaussian_colours.clone().inner();

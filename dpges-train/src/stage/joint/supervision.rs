@@ -3,14 +3,17 @@
 use burn::tensor::{DType, Device, Tensor, TensorData};
 use dpges_core::camera::Camera;
 use dpges_core::counters::transfers::upload;
-use dpges_core::losses::geometry::{Supervision, expected_depth};
+use dpges_core::losses::Losses;
+use dpges_core::losses::geometry::{self, GeometryWeights, Supervision, expected_depth};
 use dpges_core::ops::blend::Maps;
 use dpges_core::scene::tensors::tensor_to_rows;
 use dpges_core::scene::{GaussianData, Rendering};
 
 use super::super::{Context, TrainError};
+use super::RenderedView;
 use super::blended_depth::BlendedMaps;
 use crate::dataset::View;
+use crate::optimizer::unit_of;
 
 /// Numbers per pixel: a depth and a normal.
 const NUMBERS: usize = 4;
@@ -54,7 +57,7 @@ impl Supervisions {
     }
 
     /// The target of the training `view` with this `index`, on `device`.
-    pub fn of(&self, index: usize, view: &View, device: &Device) -> dpges_core::Result<Supervision> {
+    fn of(&self, index: usize, view: &View, device: &Device) -> dpges_core::Result<Supervision> {
         let Camera { width, height, .. } = view.camera;
         let [depth, normal] = match &self.views[index] {
             Some(maps) => maps.clone(),
@@ -65,6 +68,27 @@ impl Supervisions {
         };
         Ok(Supervision { depth: tensor(depth, 1), normal: tensor(normal, 3) })
     }
+}
+
+/// The difference to depths and normals of discs. It has its weights already.
+pub fn geometry(view: &RenderedView<'_>, losses: &mut Losses) -> dpges_core::Result<()> {
+    let Some(supervisions) = &view.stage.supervisions else { return Ok(()) };
+    let (input, train) = (view.input, &view.context.config.train);
+    let supervision = supervisions.of(input.index, input.view, &view.context.tape())?;
+    let supervision = input.target.mask.iter().fold(supervision, Supervision::within);
+    let weights = GeometryWeights {
+        // published in world units, of which a fifth of the extent is one here
+        depth: train.lambda_disc_depth / unit_of(view.stage.info.extent),
+        normal: train.lambda_disc_normal,
+        depth_normal: train.lambda_disc_depth_normal,
+    };
+    let seen = input.pose.map(|probe| probe.surfels(view.surfels));
+    let surfels = seen.as_ref().unwrap_or(view.surfels);
+    let value = geometry::geometry(view.rendered, surfels, &input.view.camera, &supervision, &weights)?;
+    let value = view.of_counted(value);
+    losses.total = losses.total.clone() + value.clone();
+    losses.terms.push(("geometry", value));
+    Ok(())
 }
 
 fn depth_and_normal(discs: &BlendedMaps, camera: &Camera) -> dpges_core::Result<DepthAndNormal> {

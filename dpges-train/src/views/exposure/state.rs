@@ -39,7 +39,7 @@ pub fn from_rows(
     views: usize,
     device: &Device,
 ) -> Result<ExposureState, String> {
-    Parameter::take(&EXPOSURE, rows, 6, (|count| count == views, views), device)
+    Parameter::take(&EXPOSURE, rows, 6, |count| count == views, views, device)
 }
 
 /// The corrections of all training views, by their indices; none if photographs are taken as they are.

@@ -140,7 +140,8 @@ fn students_kernel(
 pub fn students(
     [opacities, degrees, order]: [&CubeTensor; 3],
     ellipses: &CubeTensor,
-    (tails, place): (&CubeTensor, usize),
+    tails: &CubeTensor,
+    place: usize,
     camera: &Camera,
 ) -> (CubeTensor, CubeTensor) {
     let (count, stride) = (order.shape()[0], tails.shape()[1]);

@@ -159,14 +159,14 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T, Scalar>)> Walk<'a, T, V> 
             // t* below 0 lies behind the camera
             if weight > T::zero()
                 && depth >= T::zero()
-                && let Some(leaving) = self.pixels[pixel].queue.push(depth.as_f64(), (position, weight))
+                && let Some((position, weight)) = self.pixels[pixel].queue.push(depth.as_f64(), (position, weight))
             {
-                self.blend(pixel, leaving);
+                self.blend(pixel, position, weight);
             }
         }
     }
 
-    fn blend(&mut self, at: usize, (position, weight): (u32, T)) {
+    fn blend(&mut self, at: usize, position: u32, weight: T) {
         // maps have the depth of the centre in either order; t* only sorts
         let depth = self.along(position).splat.depth;
         let pixel = &mut self.pixels[at];
@@ -197,8 +197,8 @@ impl<'a, T: Real, V: FnMut(usize, usize, &Fragments<T, Scalar>)> Walk<'a, T, V> 
             }
         }
         for pixel in 0..TILE_PIXELS {
-            while let Some(leaving) = self.pixels[pixel].queue.pop().filter(|_| self.pixels[pixel].open) {
-                self.blend(pixel, leaving);
+            while let Some((position, weight)) = self.pixels[pixel].queue.pop().filter(|_| self.pixels[pixel].open) {
+                self.blend(pixel, position, weight);
             }
         }
     }

@@ -386,7 +386,7 @@ impl Fragments {
                 let magnitudes = magnitudes(gaussians);
                 let (ellipses, _) = splat_cube::splats(&magnitudes, Some(order), camera, ScreenFilter::Off);
                 let of_kernels = [&gaussians.opacities, degrees_of_freedom, order];
-                student_cube::students(of_kernels, &ellipses, (&features, TAIL), camera)
+                student_cube::students(of_kernels, &ellipses, &features, TAIL, camera)
             }
             Form::Whitened => whitened_cube::shapes(gaussians, order, camera),
             Form::Discs => {

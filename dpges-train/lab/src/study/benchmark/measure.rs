@@ -9,7 +9,7 @@ use dpges_render::{Headless, check_drawn_as_trained};
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
 use dpges_train::eval::frame_ms::frame_times_as_trained;
-use dpges_train::eval::rendered::Renderer;
+use dpges_train::eval::rendered::TrainingRenderer;
 use dpges_train::eval::{Measures, evaluate_each};
 use dpges_train::metrics::lpips::choice::load;
 use dpges_train::metrics::lpips::{Lpips, Network};
@@ -47,7 +47,7 @@ impl Benchmark {
         row.scene = Some(format!("{}/{}", planned.scene.dataset.name, planned.scene.name));
         row.device = name.describe().ok();
         let scene = SceneData::load(&cell.folder.scene())?;
-        let renderer = Renderer::new(&scene, device);
+        let renderer = TrainingRenderer::new(&scene, device);
         let networks: Vec<Lpips> = load(&self.request.lpips, device)?
             .into_iter()
             .filter(|lpips| lpips.network == Network::Vgg)

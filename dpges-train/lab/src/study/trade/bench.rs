@@ -6,11 +6,11 @@ use burn::tensor::Device;
 use dpges_core::camera::Camera;
 use dpges_core::scene::{Quality, SceneData};
 use dpges_render::frame_times::{FrameTimes, Rounds, frame_times};
-use dpges_render::{Headless, Precision, RenderOptions, Rgb8Image};
+use dpges_render::{Headless, Precision, RasterRenderer, RenderOptions, Rgb8Image};
 use dpges_train::dataset::View;
 use dpges_train::eval::compress::Compressed;
 use dpges_train::eval::pictures::save_png;
-use dpges_train::eval::rendered::{Renderer, scaled, to_picture};
+use dpges_train::eval::rendered::{TrainingRenderer, scaled, to_picture};
 use dpges_train::eval::{Measures, ViewScore, mean_scores, score_picture};
 use dpges_train::metrics::lpips::Lpips;
 use dpges_train::run::scene::in_scene;
@@ -52,7 +52,7 @@ pub struct Bench<'a> {
 impl Bench<'_> {
     /// Whether there is a choice between sums of 32 and of 16 bits.
     pub fn sums_floats(&self) -> bool {
-        let best = |headless: &Headless| dpges_render::Renderer::best_precision(headless.device());
+        let best = |headless: &Headless| RasterRenderer::best_precision(headless.device());
         self.headless.as_ref().map(best) == Some(Precision::Float)
     }
 
@@ -135,7 +135,7 @@ impl Bench<'_> {
     }
 
     fn training(&self, scene: &SceneData, cameras: &[Camera], frames: &[Camera]) -> Result<Drawn> {
-        let renderer = Renderer::new(scene, self.device);
+        let renderer = TrainingRenderer::new(scene, self.device);
         let picture = |camera: &Camera| Ok(to_picture(renderer.render(camera)?.image()));
         let pictures = cameras.iter().map(picture).collect::<Result<_>>()?;
         Ok((pictures, renderer.frame_times(frames, self.counts())?, None))

@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use super::{STAGES, finished, goes_on_alike, trainer};
 use crate::dataset::{BuiltinOptions, DepthKind, View, builtin, builtin_geometry};
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 use crate::run::Trainer;
 use crate::run::fixtures::{config, device, options, trained};
 
 /// Mean error of depth of the surfels of `trainer` in a training view of the built-in scene.
 fn mean_depth_error(trainer: &Trainer, view: &View) -> f64 {
     let scene = trainer.scene();
-    let (_, depth) = Renderer::new(&scene, &device()).render_with_depth(&view.camera).unwrap();
+    let (_, depth) = TrainingRenderer::new(&scene, &device()).render_with_depth(&view.camera).unwrap();
     let (truth, _) = builtin_geometry(&view.camera);
     let shown: Vec<f64> = depth
         .iter()

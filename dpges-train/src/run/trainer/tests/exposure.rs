@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::dataset::{BuiltinOptions, View, builtin};
-use crate::eval::rendered::Renderer;
+use crate::eval::rendered::TrainingRenderer;
 use crate::eval::{Evaluation, Measures, evaluate_each};
 use crate::run::fixtures::{device, options, trained};
 use crate::views::exposure::Correction;
@@ -17,7 +17,7 @@ fn exposures_are_found_and_compensated() {
         let set = ["train.steps=400", "refine.budget=1500", "optimizer.exposure=0.02", exposure];
         let trainer = trained(&set, changed.clone());
         let scene = trainer.scene();
-        let renderer = Renderer::new(&scene, &device());
+        let renderer = TrainingRenderer::new(&scene, &device());
         let measures = Measures { fitted: true, ..Measures::BASIC };
         let evaluation: dpges_core::Result<Evaluation> =
             evaluate_each(&renderer, &scene, &changed.test, &device(), measures, |_, _| Ok(()));

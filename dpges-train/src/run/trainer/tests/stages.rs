@@ -19,10 +19,12 @@ use crate::views::pose::gauge::Gauge;
 fn stages_hand_on_what_they_trained() {
     let mut trainer = trainer(&STAGES);
     let mut seen = Vec::new();
-    let mut events = Vec::new();
+    let (mut events, mut terms) = (Vec::new(), Vec::new());
     while !trainer.is_finished() {
         let report = trainer.step().unwrap().unwrap();
         assert!(report.loss.is_finite() && report.psnr > 0.0, "{report:?}");
+        assert!(report.terms.iter().all(|(_, value)| value.is_finite()), "{report:?}");
+        terms = report.terms.iter().map(|&(name, _)| name).collect();
         events.extend(report.events);
         if trainer.stage_is_over() {
             seen.push((report.stage, trainer.completed_steps(), trainer.scene()));
@@ -33,6 +35,7 @@ fn stages_hand_on_what_they_trained() {
     let [(_, _, discs), (_, _, gaussians), (_, _, joint)] = &seen[..] else { unreachable!() };
     assert_eq!((discs.info.rendering, gaussians.info.rendering), (Rendering::Discs, Rendering::Ellipsoids));
     assert_eq!(joint.info.rendering, Rendering::Peeled);
+    assert_eq!(terms[..6], ["rgb", "surfel", "scale", "transmittance", "opacity", "gaussian_scale"]);
     let opaque = discs.gaussians.opacities.iter().filter(|&&opacity| opacity > 0.12).count();
     assert!(opaque > 10 && joint.surfels.len() <= opaque, "{opaque}, {}", joint.surfels.len());
     assert!(discs.gaussians.len() <= 210 && gaussians.gaussians.len() <= 420);
@@ -150,7 +153,8 @@ fn methods_alone_learn() {
         let mut trainer = trainer(&[&["train.steps=60", &method, "refine.budget=500"], set].concat());
         let mut loss = Vec::new();
         while !trainer.is_finished() {
-            loss.push(trainer.step().unwrap().unwrap().rgb);
+            let ("rgb", rgb) = trainer.step().unwrap().unwrap().terms[0] else { panic!("L_rgb comes first") };
+            loss.push(rgb);
         }
         let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
         let (early, late) = (mean(&loss[..6]), mean(&loss[54..]));
