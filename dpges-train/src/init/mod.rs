@@ -197,9 +197,7 @@ impl Init<'_> {
 
     fn by_agreement(&self, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
         let count = self.max_points().min(FEW_POINTS);
-        let nearest = NEAREST * self.dataset.extent;
-        let anywhere = Sweep::Open { nearest, steps: SAMPLES_OF_A_RAY };
-        let points = where_views_agree(self.dataset, &anywhere, count, rng)?;
+        let points = agreed_points(self.dataset, count, rng)?;
         if (points.positions.len() as f64) < LEAST_SHARE_FOUND * count as f64 {
             return Err(InitError::NoAgreement);
         }
@@ -234,15 +232,21 @@ pub fn surfels_at(points: PointCloud, dataset: &Dataset, config: &Config, rng: &
     placement::surfels(&sfm::orient(points, &centres(&dataset.train)), &Placement::new(config, dataset.extent), rng)
 }
 
+/// At most `count` points about which views of a dataset without points agree.
+fn agreed_points(dataset: &Dataset, count: usize, rng: &mut ChaCha8Rng) -> dpges_core::Result<PointCloud> {
+    let anywhere = Sweep::Open { nearest: NEAREST * dataset.extent, steps: SAMPLES_OF_A_RAY };
+    where_views_agree(dataset, &anywhere, count, rng)
+}
+
 /// At most `count` points about which views agree.
 fn where_views_agree(
     dataset: &Dataset,
     sweep: &Sweep<'_>,
     count: usize,
     rng: &mut ChaCha8Rng,
-) -> Result<PointCloud, InitError> {
+) -> dpges_core::Result<PointCloud> {
     let views: Vec<&View> = dataset.train.iter().collect();
-    Ok(plane_sweep::draw(&views, sweep, Acceptance::DISTINCT, count, rng)?)
+    plane_sweep::draw(&views, sweep, Acceptance::DISTINCT, count, rng)
 }
 
 fn centres<'a>(views: impl IntoIterator<Item = &'a View>) -> Vec<DVec3> {

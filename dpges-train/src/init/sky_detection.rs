@@ -1,16 +1,21 @@
-//! Sky in the photographs: pixels above the scene that no point of the dataset explains.
+//! Sky in the photographs: pixels above the scene that no point of the dataset explains, or of those about which views agree
+//! if it has none.
 //!
 //! A cell of a photograph is *open sky* if no point of the dataset projects into it, at whatever depth, if such cells
 //! connect it with the upper border, and if it lies above the horizon. White walls and close photographs of one surface
 //! have few points as well, but points that other views found project into them, or they lie below the horizon.
 
+use std::borrow::Cow;
 use std::sync::OnceLock;
 
 use dpges_core::Result;
 use dpges_core::camera::Camera;
 use glam::DVec3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
+use super::{FEW_POINTS, agreed_points};
 use crate::dataset::{Dataset, Picture, sampled, upwards};
 
 /// Points that project into a cell of a view, on average: a cell without any is no accident.
@@ -29,16 +34,16 @@ pub struct OpenSky {
 /// differ by more.
 const OF_THE_SKY: f32 = 0.15;
 
-/// The open sky of the training views of `dataset`, of a sample of many; none if it has no points.
+/// The open sky of the training views of `dataset`, of a sample of many; none where no point is known.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
 pub fn open_sky(dataset: &Dataset) -> Result<OpenSky> {
-    let up = upwards(dataset.train.iter().map(|view| &view.camera));
+    let (up, points) = (upwards(dataset.train.iter().map(|view| &view.camera)), points_of(dataset)?);
     // numbers of pixels that count and of open ones, and the sums of their colours
     let of_view = |index: usize| -> Result<[f64; 5]> {
         let view = &dataset.train[index];
-        let (picture, open) = (view.picture()?, open_cells(&view.camera, &dataset.points.positions, up));
+        let (picture, open) = (view.picture()?, open_cells(&view.camera, &points, up));
         let (pixels, mut colours) = (open.pixels(&picture), [0.0; 3]);
         for &pixel in &pixels {
             colours.iter_mut().zip(picture.colour(pixel)).for_each(|(sum, channel)| *sum += f64::from(channel));
@@ -51,6 +56,14 @@ pub fn open_sky(dataset: &Dataset) -> Result<OpenSky> {
     let add = |sum: [f64; 5], view: [f64; 5]| std::array::from_fn(|at| sum[at] + view[at]);
     let [counted, open, colours @ ..] = sums.into_iter().fold([0.0; 5], add);
     Ok(OpenSky { share: open / counted.max(1.0), colour: (open > 0.0).then(|| colours.map(|sum| sum / open)) })
+}
+
+/// The same at every call.
+fn points_of(dataset: &Dataset) -> Result<Cow<'_, [[f32; 3]]>> {
+    if !dataset.points.positions.is_empty() {
+        return Ok(Cow::Borrowed(&dataset.points.positions));
+    }
+    agreed_points(dataset, FEW_POINTS, &mut ChaCha8Rng::seed_from_u64(0)).map(|points| Cow::Owned(points.positions))
 }
 
 /// The sky of a view: pixels of its open sky that have about the colour that most of it has in this view.
@@ -101,14 +114,17 @@ pub struct Skies {
 
 impl Skies {
     /// Skies of the training views of `dataset`.
-    pub fn new(dataset: &Dataset) -> Self {
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+    pub fn new(dataset: &Dataset) -> Result<Self> {
         let cameras: Vec<Camera> = dataset.train.iter().map(|view| view.camera).collect();
-        Self {
+        Ok(Self {
             up: upwards(cameras.iter()),
-            points: dataset.points.positions.clone(),
+            points: points_of(dataset)?.into_owned(),
             found: cameras.iter().map(|_| OnceLock::new()).collect(),
             cameras,
-        }
+        })
     }
 
     /// The sky of the training view with index `index`, whose picture is `picture`; `None` if it shows none.
@@ -300,7 +316,7 @@ pub mod tests {
 
     /// The pixels of every view that show nothing but sky.
     fn sky_of(dataset: &Dataset) -> Vec<Vec<usize>> {
-        let skies = Skies::new(dataset);
+        let skies = Skies::new(dataset).unwrap();
         let of_view = |(index, view): (usize, &View)| {
             let picture = view.picture().unwrap();
             skies.of(index, &picture).map(|sky| sky.pixels(&picture)).unwrap_or_default()

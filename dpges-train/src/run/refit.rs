@@ -22,13 +22,14 @@ pub fn refit(scene: &SceneData, views: &[View], steps: usize, device: &Device) -
         &mut train.lambda_surfel,
         &mut train.lambda_scale,
         &mut train.lambda_transmittance,
+        &mut train.lambda_sky,
         &mut train.lambda_opacity,
         &mut train.lambda_gaussian_scale,
     ] {
         *term = 0.0;
     }
     let (plan, mut context) = last_stage(config, dataset(&scene.info, views.to_vec()), 0.0, device);
-    let mut stage = stage::of_scene(plan, scene, &context);
+    let mut stage = stage::of_scene(plan, scene, &context)?;
     for step in 1..=steps {
         let view = context.next_view();
         let report = StepReport::begin(step, plan, view, Vec::new());

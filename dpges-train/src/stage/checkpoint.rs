@@ -176,7 +176,7 @@ impl JointStage {
             statistics: Statistics::from_rows(&max_pixels, [&contributions, &errors], device),
             supervisions: discs.map(|discs| Supervisions::new(&discs, context)).transpose()?,
             growth,
-            ..Self::of_states(plan, surfels, gaussians, sharding, environment, context)
+            ..Self::of_states(plan, surfels, gaussians, sharding, environment, context)?
         };
         if let (Some(measured), Some(targets)) = (&mut stage.measured, targets) {
             measured.restore(&targets, device);

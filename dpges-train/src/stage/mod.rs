@@ -145,11 +145,14 @@ pub fn begin(plan: StagePlan, trained: &mut Trained, context: &mut Context) -> R
 }
 
 /// A stage of `plan` that begins with `scene` as it is; one of blended Gaussians leaves its surfels out.
-pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> Box<dyn Stage> {
-    match plan.kind {
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> dpges_core::Result<Box<dyn Stage>> {
+    Ok(match plan.kind {
         StageKind::Blended(blended) => Box::new(BlendedStage::of_scene(plan, blended, scene, context)),
-        StageKind::Joint => Box::new(JointStage::of_scene(plan, scene, context)),
-    }
+        StageKind::Joint => Box::new(JointStage::of_scene(plan, scene, context)?),
+    })
 }
 
 /// Goes on with the stage of `plan` where `checkpoint` was made. Returns it, and what the stages before it have left to

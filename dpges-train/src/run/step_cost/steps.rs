@@ -44,7 +44,7 @@ impl Steps {
         }
         let train = pictures(scene, cameras, device)?;
         let (plan, context) = last_stage(config(scene, stage), dataset(&scene.info, train), PROGRESS, device);
-        let stage = stage::of_scene(plan, scene, &context);
+        let stage = stage::of_scene(plan, scene, &context)?;
         Ok(Self { context, stage, next: 0, pending: None })
     }
 

@@ -87,17 +87,21 @@ impl JointStage {
         environment: EnvironmentState,
         supervisions: Option<Supervisions>,
         context: &Context,
-    ) -> Self {
+    ) -> dpges_core::Result<Self> {
         let device = &context.device;
         let surfels = SurfelState::new(&start.surfels, OpacityActivation::Linear, device);
         let sharding = Sharding::new(start.gaussians.len(), context.ranks.clone());
         let own = start.gaussians.select(&sharding.own());
         let gaussians = GaussianState::new(&own, context.config.model.opacity, device);
         let limits = SamplingLimits::new(&surfels, &gaussians, context);
-        Self { limits, supervisions, ..Self::of_states(plan, surfels, gaussians, sharding, environment, context) }
+        let stage = Self::of_states(plan, surfels, gaussians, sharding, environment, context)?;
+        Ok(Self { limits, supervisions, ..stage })
     }
 
     /// A stage of which nothing has been observed, without limits or geometry losses.
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
     pub fn of_states(
         plan: StagePlan,
         surfels: SurfelState,
@@ -105,8 +109,8 @@ impl JointStage {
         sharding: Sharding,
         environment: EnvironmentState,
         context: &Context,
-    ) -> Self {
-        Self {
+    ) -> dpges_core::Result<Self> {
+        Ok(Self {
             plan,
             info: context.scene_info(Rendering::Peeled),
             schedule: Schedule::new(&context.config, plan.steps, context.dataset.train.len()),
@@ -116,16 +120,19 @@ impl JointStage {
             gaussians,
             sharding,
             limits: None,
-            sky: SkyMasks::new(&environment, context),
+            sky: SkyMasks::new(&environment, context)?,
             environment,
             supervisions: None,
             growth: None,
             surroundings: context.surroundings.clone(),
-        }
+        })
     }
 
     /// A stage that begins with `scene` as it is, without geometry losses.
-    pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> Self {
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+    pub fn of_scene(plan: StagePlan, scene: &SceneData, context: &Context) -> dpges_core::Result<Self> {
         let start = InitialScene { surfels: scene.surfels.clone(), gaussians: scene.gaussians.clone() };
         let environment = environment::fresh(scene.environment.as_ref(), &context.device);
         Self::new(plan, &start, environment, None, context)

@@ -14,9 +14,12 @@ pub struct SkyMasks(Skies);
 
 impl SkyMasks {
     /// `None` in runs without an environment, and where nothing holds it free.
-    pub fn new(environment: &EnvironmentState, context: &Context) -> Option<Self> {
+    ///
+    /// # Errors
+    /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+    pub fn new(environment: &EnvironmentState, context: &Context) -> dpges_core::Result<Option<Self>> {
         let is_held_free = environment.is_some() && context.config.train.lambda_sky > 0.0;
-        is_held_free.then(|| Self(Skies::new(&context.recorded())))
+        is_held_free.then(|| Skies::new(&context.recorded()).map(Self)).transpose()
     }
 
     /// Sets `values` [H × W] to 0 where the training view with index `index`, of this `picture`, shows nothing but sky.

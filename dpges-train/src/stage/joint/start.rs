@@ -21,7 +21,7 @@ impl JointStage {
         if let Some(mut joined) = trained.joined.take() {
             let InitialScene { surfels, .. } = &mut joined;
             surfels.margins = margins(&surfels.positions, &surfels.log_scales, context.config.model.margin);
-            return Ok(Self::new(plan, &joined, environment, None, context));
+            return Ok(Self::new(plan, &joined, environment, None, context)?);
         }
         let given = context.pretrained(SURFELS_FROM)?;
         let from_file = given.as_ref().filter(|scene| scene.info.rendering == Rendering::Discs);
@@ -39,7 +39,7 @@ impl JointStage {
             );
         }
         let start = context.start_of_joint(given.as_ref(), discs, trained.gaussians)?;
-        Ok(Self::new(plan, &start, environment, supervisions, context))
+        Ok(Self::new(plan, &start, environment, supervisions, context)?)
     }
 }
 
