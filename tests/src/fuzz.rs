@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use dpges_core::scene::{ColourModel, EnvironmentData, Quality, Rendering, SceneData, WeightedSum};
 use dpges_core::testing::scenes::{Recipe, random};
 use dpges_train::config::Config;
-use dpges_train::dataset::{BuiltinOptions, Dataset, LoadOptions, builtin, load};
+use dpges_train::dataset::{BuiltinOptions, Dataset, LoadOptions, MaxResolution, builtin, load};
 use dpges_train::run::folder::{Origin, RunFolder};
 use dpges_train::run::{Run, SavedRun, StepReport};
 use proptest::test_runner::{Config as Settings, RngAlgorithm, TestError, TestRng, TestRunner};
@@ -104,7 +104,7 @@ fn datasets(what: &str, corpus: &str, names: &[&str]) {
     copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(corpus), folder.path());
     let paths: Vec<PathBuf> = names.iter().map(|name| folder.path().join(name)).collect();
     let files: Vec<Vec<u8>> = paths.iter().map(|path| fs::read(path).unwrap()).collect();
-    let options = LoadOptions { test_every: 2, max_resolution: Some(64), ..LoadOptions::default() };
+    let options = LoadOptions { test_every: 2, max_resolution: MaxResolution(64), ..LoadOptions::default() };
     load(folder.path(), &options).unwrap();
     fuzz(what, "", &files, |file, bytes| {
         fs::write(&paths[file], bytes).unwrap();

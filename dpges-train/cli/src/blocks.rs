@@ -126,7 +126,7 @@ fn work(args: &StepArgs, style: LogStyle, steps: impl Fn(&Capture) -> Vec<Step>)
         let mut capture = Capture::open(&args.dir)?;
         let interrupted = interrupts::watch()?;
         for step in steps(&capture) {
-            Worker { capture: &mut capture, job: &job, device: args.device.request, style }.work(step, &interrupted)?;
+            finish(&mut capture, step, &job, args.device.request, style, &interrupted)?;
         }
         Ok(())
     };
@@ -134,49 +134,48 @@ fn work(args: &StepArgs, style: LogStyle, steps: impl Fn(&Capture) -> Vec<Step>)
     if job.ranks.is_first() { style.print(&Capture::open(&args.dir)?.progress()) } else { Ok(()) }
 }
 
-struct Worker<'a> {
-    capture: &'a mut Capture,
-    job: &'a Job,
+/// Does what is left of `step`.
+fn finish(
+    capture: &mut Capture,
+    step: Step,
+    job: &Job,
     device: DeviceRequest,
     style: LogStyle,
-}
-
-impl Worker<'_> {
-    fn work(&mut self, step: Step, interrupted: &AtomicBool) -> Result<()> {
-        let ranks = Arc::clone(&self.job.ranks);
-        self.capture.state(step)?;
-        let _held = ranks.is_first().then(|| self.capture.lock(step)).transpose()?;
-        ranks.gather(&[]);
-        // another process may have done it in the meantime
-        *self.capture = Capture::open(self.capture.folder())?;
-        let state = self.capture.state(step)?;
-        if state == State::Finished {
-            tracing::info!("{step}: done already");
-            return Ok(());
-        }
-        if state == State::New && ranks.is_first() {
-            self.capture.prepare(step)?;
-        }
-        ranks.gather(&[]);
-        let (folder, source) = (self.capture.run_folder(step), Source::new(Path::new(&self.capture.plan.dataset)));
-        let name = device_choice::of_rank(self.job, device_choice::select(self.device)?, Some(self.device))?;
-        let place = Place { device: name.open()?, ranks };
-        let config = self.capture.config(step)?;
-        let dataset = config.load_for_training(&source)?;
-        let run = if state == State::Begun {
-            let saved = SavedRun::open(folder.clone())?;
-            say_resumed(&saved, name);
-            Run::resume(saved, dataset, place.clone())?
-        } else {
-            tracing::info!("{step}: {} steps", config.total_steps());
-            Run::new(config, dataset, place.clone())?.overwrite(folder.clone(), Origin::new(&source, name))?
-        };
-        let dataset = Arc::clone(run.trainer().dataset());
-        let session = Session { run, folder, device: name, style: self.style };
-        let summary = session.train(interrupted)?;
-        if place.ranks.is_first() {
-            self.style.print(&summary)?;
-        }
-        watched(name, || Ok(self.capture.finish(step, &dataset, &place)?))
+    interrupted: &AtomicBool,
+) -> Result<()> {
+    let ranks = Arc::clone(&job.ranks);
+    capture.state(step)?;
+    let _held = ranks.is_first().then(|| capture.lock(step)).transpose()?;
+    ranks.gather(&[]);
+    // another process may have done it in the meantime
+    *capture = Capture::open(capture.folder())?;
+    let state = capture.state(step)?;
+    if state == State::Finished {
+        tracing::info!("{step}: done already");
+        return Ok(());
     }
+    if state == State::New && ranks.is_first() {
+        capture.prepare(step)?;
+    }
+    ranks.gather(&[]);
+    let (folder, source) = (capture.run_folder(step), Source::new(Path::new(&capture.plan.dataset)));
+    let name = device_choice::of_rank(job, device_choice::select(device)?, Some(device))?;
+    let place = Place { device: name.open()?, ranks };
+    let config = capture.config(step)?;
+    let dataset = config.load_for_training(&source)?;
+    let run = if state == State::Begun {
+        let saved = SavedRun::open(folder.clone())?;
+        say_resumed(&saved, name);
+        Run::resume(saved, dataset, place.clone())?
+    } else {
+        tracing::info!("{step}: {} steps", config.total_steps());
+        Run::new(config, dataset, place.clone())?.overwrite(folder.clone(), Origin::new(&source, name))?
+    };
+    let dataset = Arc::clone(run.trainer().dataset());
+    let session = Session { run, folder, device: name, style };
+    let summary = session.train(interrupted, &mut ())?;
+    if place.ranks.is_first() {
+        style.print(&summary)?;
+    }
+    watched(name, || Ok(capture.finish(step, &dataset, &place)?))
 }

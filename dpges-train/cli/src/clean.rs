@@ -6,7 +6,7 @@ use clap::Args;
 use dpges_train::run::clean::{Known, Rules, clean};
 
 use super::data::{ViewArgs, open_to_write};
-use super::device_choice::{DeviceArgs, watched};
+use super::device_choice::{DeviceArgs, select, watched};
 use super::{Result, print_report, table};
 
 /// Write a scene without what no training camera sees, and where asked to without what is outside of a box, oversized or floats
@@ -46,7 +46,7 @@ pub fn run(args: &CleanArgs) -> Result<()> {
     };
     match &known {
         Ok((source, dataset)) => {
-            let device = args.device.select()?;
+            let device = select(args.device.request)?;
             watched(device, || clean(Ok((source, dataset, &device.open()?))))
         }
         Err(error) => clean(Err(error.to_string())),

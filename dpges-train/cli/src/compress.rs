@@ -12,7 +12,7 @@ use dpges_train::eval::compress::{Goal, Measure, bytes, decibels, levels};
 use dpges_train::eval::evaluate;
 
 use super::data::{Scene, Source, Split, ViewArgs, every_nth, open_to_write};
-use super::device_choice::{DeviceArgs, watched};
+use super::device_choice::{DeviceArgs, select, watched};
 use super::{Failure, Result, print_report, table};
 
 /// Most views that decide on a loss.
@@ -62,7 +62,7 @@ pub fn run(args: &CompressArgs) -> Result<()> {
     let (mut scene, _held) = open_to_write(&args.scene, Some(&args.out), args.json.as_deref())?;
     match args.measured(&mut scene) {
         Ok((source, split, views)) => {
-            let device = args.device.select()?;
+            let device = select(args.device.request)?;
             watched(device, || {
                 let device = device.open()?;
                 let psnr = |scene: &SceneData| Ok(evaluate(scene, &views, &device)?.psnr);

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use dpges_train::config::{Background, Upwards, key};
+use dpges_train::dataset::MaxResolution;
 pub use dpges_train::dataset::Split;
 pub use dpges_train::dataset::source::Source;
 use dpges_train::run::folder::hold_file;
@@ -22,8 +23,8 @@ pub struct DataArgs {
     pub up: Option<Upwards>,
     #[arg(long, value_name = "N", help = key("data.image_scale").help())]
     pub image_scale: Option<u32>,
-    #[arg(long, value_name = "PX", help = key("data.max_resolution").help())]
-    pub max_resolution: Option<usize>,
+    #[arg(long, value_name = "PX", value_parser = |text: &str| text.parse().map(MaxResolution), help = key("data.max_resolution").help())]
+    pub max_resolution: Option<MaxResolution>,
     #[arg(long, value_name = "N", help = key("data.test_every").help())]
     pub test_every: Option<usize>,
     #[arg(long, help = key("data.invert_masks").help())]
@@ -32,8 +33,7 @@ pub struct DataArgs {
 
 /// The options that are given, as `key=value`.
 pub fn assigned<const N: usize>(options: [(&str, Option<String>); N]) -> Vec<String> {
-    let given = options.into_iter().filter_map(|(key, value)| Some(format!("{key}={}", value?)));
-    given.collect()
+    options.into_iter().filter_map(|(key, value)| Some(format!("{key}={}", value?))).collect()
 }
 
 /// A path that means the same wherever a run goes on; an empty one stays empty.
@@ -48,7 +48,7 @@ impl DataArgs {
             ("data.background", self.background.map(|background| background.to_string())),
             ("data.up", self.up.map(|up| up.to_string())),
             ("data.image_scale", self.image_scale.map(|scale| scale.to_string())),
-            ("data.max_resolution", self.max_resolution.map(|px| px.to_string())),
+            ("data.max_resolution", self.max_resolution.map(|most| most.0.to_string())),
             ("data.test_every", self.test_every.map(|every| every.to_string())),
             ("data.invert_masks", self.invert_masks.then(|| "true".to_owned())),
         ])

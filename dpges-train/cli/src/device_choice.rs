@@ -17,13 +17,6 @@ pub struct DeviceArgs {
     pub request: DeviceRequest,
 }
 
-impl DeviceArgs {
-    /// As [`select`].
-    pub fn select(self) -> Result<DeviceName> {
-        select(self.request)
-    }
-}
-
 /// The device that is asked for; says which and why.
 pub fn select(request: DeviceRequest) -> Result<DeviceName> {
     match request {

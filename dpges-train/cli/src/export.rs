@@ -6,21 +6,22 @@ use std::path::PathBuf;
 use burn::tensor::Device;
 use clap::Args;
 use dpges_core::camera::Camera;
+use dpges_core::scene::SceneData;
 use dpges_core::scene::atomic::{make_folder, write_atomically};
-use dpges_core::scene::{Rendering, SceneData};
 use dpges_lab::lod::{self, CELL_PRIMITIVES, streamed};
 use dpges_render::export::Coordinates;
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
-use dpges_train::eval::export::format::{ExportFormat, Filter, Origin, filter_text, place_rows};
+use dpges_train::eval::compress::report::Psnr;
+use dpges_train::eval::export::format::{ExportFormat, Filter, Origin, place_rows, splat_rows};
 use dpges_train::eval::export::mesh::mesh;
 use dpges_train::eval::export::page::{self, PageArgs};
 use dpges_train::eval::export::splats::{SplatFormat, file, filter_of, is_changed, loss, splats};
 use dpges_train::run::folder::hold_file;
 use dpges_train::run::hold::Hold;
 
-use super::data::{Scene, Source, Split, ViewArgs};
-use super::device_choice::{DeviceArgs, watched};
+use super::data::{Scene, Source, ViewArgs};
+use super::device_choice::{DeviceArgs, select, watched};
 use super::{Failure, Result, print, table};
 
 /// Steps of a fit, unless they are given.
@@ -93,7 +94,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
     }
     let device = match args.format {
         ExportFormat::Html | ExportFormat::Lod => None,
-        _ => Some(args.device.select()?),
+        _ => Some(select(args.device.request)?),
     };
     let choice = args.views.choice();
     let data = choice.dataset_at_hand(&mut scene, false)?.map_err(Failure::from);
@@ -108,7 +109,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
     watched(device, || {
         print(&table(&match args.format.of_splats() {
             Some(format) => args.splats(format, coordinates, &scene.data, data, device)?,
-            None => args.mesh(coordinates, &scene.data, data?, device)?,
+            None => args.mesh(coordinates, &scene.data, &data?.1, device)?,
         }))
     })
 }
@@ -126,7 +127,6 @@ impl ExportArgs {
             streamed::check(scene.info.rendering, &self.out)?;
         }
         let device = device.open()?;
-        let peeled = scene.info.rendering == Rendering::Peeled;
         let filter = self.filter.map_or(filter_of(scene), Filter::filter);
         let changed = is_changed(scene, filter);
         let steps = self.fit.unwrap_or(if changed && data.is_ok() { FIT_STEPS } else { 0 });
@@ -142,33 +142,17 @@ impl ExportArgs {
             ExportFormat::SogLod => streamed::write(scene, cloud.clone(), of, self.cell_primitives, &self.out)?,
             _ => self.write(&bytes)?,
         };
-        let counts = format!("{} surfels and {} Gaussians", scene.surfels.len(), scene.gaussians.len());
-        rows.push(("splats", format!("{} of {counts}", cloud.len())));
-        rows.extend(place_rows(&scene.info, coordinates, self.format));
-        rows.push(("filter", filter_text(filter).to_owned()));
-        if peeled {
-            let text = "approximation: sorted splats cannot express peeled surfels and order-free Gaussians";
-            rows.push(("note", text.to_owned()));
-        }
-        if scene.environment.is_some() {
-            let text = "missing: the format has no environment";
-            rows.push(("sky", text.to_owned()));
-        }
+        rows.extend(splat_rows(scene, &cloud, filter, coordinates, self.format));
         let split = self.views.choice().split();
         let loss = match &data {
             Ok((source, dataset)) if split.of(dataset).is_empty() => {
                 format!("not measured: {source} has no views in split `{split}`")
             }
-            Ok((_, dataset)) => {
+            Ok((source, dataset)) => {
                 let views = split.of(dataset);
-                let [before, after] = loss(scene, &cloud, format, &bytes, views, &device)?;
-                let of = match split {
-                    Split::Test => "held-out",
-                    Split::Train => "training",
-                    Split::Validation => "validation",
-                };
-                let (change, count) = (after - before, views.len());
-                format!("{before:.2} dB → {after:.2} dB ({change:+.2} dB, mean of {count} {of} views)")
+                let [psnr_before, psnr_after] = loss(scene, &cloud, format, &bytes, views, &device)?;
+                let (dataset, split, views) = (source.to_string(), split.to_string(), views.len());
+                Psnr { dataset, split, views, psnr_before, psnr_after }.to_string()
             }
             Err(failure) => format!("not measured: {}", failure.text()),
         };
@@ -193,17 +177,11 @@ impl ExportArgs {
         if steps == 0 {
             return write(None);
         }
-        let device = self.device.select()?;
+        let device = select(self.device.request)?;
         watched(device, || write(Some((steps, &device.open()?))))
     }
 
-    fn mesh(
-        &self,
-        coordinates: Coordinates,
-        scene: &SceneData,
-        (_, dataset): (Source, Dataset),
-        device: DeviceName,
-    ) -> Result<Rows> {
+    fn mesh(&self, coordinates: Coordinates, scene: &SceneData, dataset: &Dataset, device: DeviceName) -> Result<Rows> {
         let (mesh, voxel) = mesh(scene, &dataset.train, self.voxel, &device.open()?)?;
         let (is_ply, info) = (self.format == ExportFormat::MeshPly, &scene.info);
         let mut rows = self.write(&if is_ply { mesh.to_ply(info, coordinates) } else { mesh.to_glb(info)? })?;

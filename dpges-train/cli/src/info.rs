@@ -8,7 +8,7 @@ use dpges_lab::lod::describe as lod;
 use dpges_train::run::description::{describe, rows};
 
 use super::data::Scene;
-use super::{Result, print, print_json, table};
+use super::{Result, print_either, table};
 
 /// Describe a scene: counts, size, colour model, rendering, extent, percentiles; or the levels of one in levels of detail
 #[derive(Debug, Args)]
@@ -23,12 +23,9 @@ pub struct InfoArgs {
 pub fn run(args: &InfoArgs) -> Result<()> {
     if lod::is_lod(&args.scene) {
         let description = lod::describe(&args.scene)?;
-        return if args.json { print_json(&description) } else { print(&table(&description.rows())) };
+        return print_either(args.json, &description, &table(&description.rows()));
     }
     let entries = describe(&Scene::load(&args.scene)?);
-    if args.json {
-        print_json(&entries.into_iter().collect::<BTreeMap<_, _>>())
-    } else {
-        print(&table(&rows(&entries)))
-    }
+    let text = table(&rows(&entries));
+    print_either(args.json, &entries.into_iter().collect::<BTreeMap<_, _>>(), &text)
 }

@@ -1,11 +1,7 @@
 //! `--lpips`: the networks that LPIPS is measured with.
 
-use burn::tensor::Device;
 use clap::Args;
-use dpges_train::metrics::lpips::Lpips;
-use dpges_train::metrics::lpips::choice::{Choice, load};
-
-use super::Result;
+use dpges_train::metrics::lpips::choice::Choice;
 
 #[derive(Debug, Args)]
 pub struct LpipsArgs {
@@ -13,22 +9,5 @@ pub struct LpipsArgs {
     /// that tools/lpips_weights.py has put into the user's data folder; `none` measures no LPIPS [default: vgg, if it is
     /// there]
     #[arg(long = "lpips", value_name = "FILE")]
-    chosen: Vec<Choice>,
-}
-
-impl LpipsArgs {
-    /// Whether nothing was said about networks.
-    pub fn is_empty(&self) -> bool {
-        self.chosen.is_empty()
-    }
-
-    /// The networks as they were asked for.
-    pub fn chosen(&self) -> &[Choice] {
-        &self.chosen
-    }
-
-    /// The networks on `device`: those that were chosen, or else VGG16 if it is installed.
-    pub fn load(&self, device: &Device) -> Result<Vec<Lpips>> {
-        Ok(load(&self.chosen, device)?)
-    }
+    pub chosen: Vec<Choice>,
 }

@@ -106,7 +106,9 @@ enum Command {
     Render(render::RenderArgs),
     #[cfg(feature = "viewer")]
     View(view::WindowArgs),
-    Bench(bench::BenchArgs),
+    /// Measure speed on this machine
+    #[command(subcommand)]
+    Bench(bench::BenchCommand),
     Export(export::ExportArgs),
     Compress(compress::CompressArgs),
     Clean(clean::CleanArgs),
@@ -189,11 +191,11 @@ fn run() -> ExitCode {
         Command::Trade(args) => trade::run(&args, style),
         Command::Blocks(args) => blocks::run(args, style),
         Command::Config(args) => config::run(&args),
-        Command::Eval(args) => eval::run(&args),
+        Command::Eval(args) => eval::run(args),
         Command::Render(args) => render::run(&args),
         #[cfg(feature = "viewer")]
         Command::View(args) => view::run(args),
-        Command::Bench(args) => bench::run(&args),
+        Command::Bench(command) => bench::run(&command),
         Command::Export(args) => export::run(&args),
         Command::Compress(args) => compress::run(&args),
         Command::Clean(args) => clean::run(&args),
@@ -230,6 +232,11 @@ pub fn print(text: &str) -> Result<()> {
 /// Prints JSON to standard output.
 pub fn print_json(value: &impl Serialize) -> Result<()> {
     print(&format!("{}\n", serde_json::to_string_pretty(value)?))
+}
+
+/// Prints `value` as JSON, or `text` for people.
+pub fn print_either(as_json: bool, value: &impl Serialize, text: &str) -> Result<()> {
+    if as_json { print_json(value) } else { print(text) }
 }
 
 /// Holds the file that a report goes to, if it does, before what is reported is done.

@@ -19,7 +19,6 @@ use dpges_train::run::folder::hold_file;
 use dpges_train::run::hold::Hold;
 use dpges_train::run::shots::{PathChoice, Shot};
 use dpges_train::run::sink::Sink;
-use dpges_train::run::view_choice::ViewChoice;
 
 use super::data::{Scene, ViewArgs};
 use super::device_choice::watched;
@@ -85,10 +84,10 @@ pub struct RenderArgs {
 
 /// The renderer of the pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Engine {
-    /// The one that is trained with: CPU or compute kernels
+pub enum Engine {
+    /// The one that is trained with, on --device: CPU or compute kernels
     Training,
-    /// The real-time one: the graphics pipeline
+    /// The real-time one, on the graphics adapter that wgpu prefers: the graphics pipeline
     Raster,
 }
 
@@ -109,7 +108,6 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             scene.use_pinholes();
             scene.warn_of_order("the real-time renderer sorts");
             let shots = args.shots(&mut scene)?;
-            let wanted = shots.1;
             let headless = Headless::new()?;
             tracing::info!("rendering on {}", headless.adapter_name());
             let half_sums = args.preset.is_some_and(RenderingPreset::half_sums).then_some(Precision::Half);
@@ -125,11 +123,12 @@ pub fn run(args: &RenderArgs) -> Result<()> {
                 tracing::info!("at most {most} of {} primitives were in memory", loader.status().budget);
                 return Ok(());
             }
-            if wanted.alpha || wanted.depth {
+            if args.wanted().alpha || args.depth {
                 let mut renderer = Painted::raster(&headless, half_sums)?;
                 renderer.upload(&scene.data)?;
-                let paint =
-                    |camera: &Camera| Ok(Painted::by_raster(&headless, &mut renderer, &scene.data, camera, wanted)?);
+                let paint = |camera: &Camera| {
+                    Ok(Painted::by_raster(&headless, &mut renderer, &scene.data, camera, args.wanted())?)
+                };
                 return args.write(hold, &shots, paint);
             }
             let mut renderer = headless.renderer_with(half_sums)?;
@@ -141,7 +140,9 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             watched(device, || {
                 let shots = args.shots(&mut scene)?;
                 let renderer = TrainingRenderer::new(&scene.data, &device.open()?);
-                args.write(hold, &shots, |camera| Ok(Painted::by_training(&renderer, &scene.data, camera, shots.1)?))
+                args.write(hold, &shots, |camera| {
+                    Ok(Painted::by_training(&renderer, &scene.data, camera, args.wanted())?)
+                })
             })
         }
     }
@@ -155,33 +156,32 @@ impl RenderArgs {
             _ if of_levels && !raster => {
                 "--renderer training: a scene in levels of detail is drawn by `--renderer raster`"
             }
-            _ if of_levels && (self.depth || self.choice().1) => {
+            _ if of_levels && (self.depth || self.wanted().alpha) => {
                 "--depth and --background transparent: a scene in levels of detail is drawn as it is"
             }
             _ if self.layers && raster => "--layers: pictures of layers are made by `--renderer training`",
             _ if self.device.is_some() && raster => {
                 "--device: the real-time renderer takes the adapter that wgpu prefers (WGPU_ADAPTER_NAME names another)"
             }
-            _ if self.video.is_some() && self.choice().1 => "--background transparent: videos have no alpha",
+            _ if self.video.is_some() && self.wanted().alpha => "--background transparent: videos have no alpha",
             _ => return Ok(()),
         };
         Err(Failure::Usage(message.to_owned()))
     }
 
-    /// Which views, and whether pictures have no background.
-    fn choice(&self) -> (ViewChoice, bool) {
-        let mut choice = self.views.choice();
-        let transparent = choice.reading.background == Some(Background::Transparent);
-        if transparent {
+    /// What is asked for besides pictures.
+    fn wanted(&self) -> Wanted {
+        let alpha = self.views.choice().reading.background == Some(Background::Transparent);
+        Wanted { alpha, depth: self.depth, layers: self.layers }
+    }
+
+    /// The pictures to take; leaves out of `scene` what the preset and pictures without a background do without.
+    fn shots(&self, scene: &mut Scene) -> Result<Vec<Shot>> {
+        let (mut choice, alpha) = (self.views.choice(), self.wanted().alpha);
+        if alpha {
             choice.reading.background = None;
             choice.reading.assignments.retain(|set| !set.starts_with("data.background="));
         }
-        (choice, transparent)
-    }
-
-    /// The pictures to take, with what; leaves out of `scene` what the preset and pictures without a background do without.
-    fn shots(&self, scene: &mut Scene) -> Result<(Vec<Shot>, Wanted)> {
-        let (choice, alpha) = self.choice();
         let shots = self.path.shots(self.frames.map(|frames| frames as usize), self.size, self.lens, &choice, scene)?;
         if let Some(preset) = self.preset {
             preset.apply(&mut scene.data.info);
@@ -189,19 +189,19 @@ impl RenderArgs {
         if alpha {
             scene.data.environment = None;
         }
-        Ok((shots, Wanted { alpha, depth: self.depth, layers: self.layers }))
+        Ok(shots)
     }
 
     /// Writes what `paint` makes of each camera, to the folder of `hold`.
     fn write(
         &self,
         hold: Option<Hold>,
-        (shots, wanted): &(Vec<Shot>, Wanted),
+        shots: &[Shot],
         mut paint: impl FnMut(&Camera) -> Result<Painted>,
     ) -> Result<()> {
         let sizes = shots.iter().map(|shot| (shot.name.as_str(), [shot.camera.width, shot.camera.height]));
         let video = self.video.as_deref().map(|file| Video::new(file, &self.ffmpeg, self.fps.unwrap_or(30), sizes));
-        let mut sink = Sink::new(hold, video.transpose()?, shots, *wanted)?;
+        let mut sink = Sink::new(hold, video.transpose()?, shots, self.wanted())?;
         let mut progress = Progress::new(LogStyle::Bar, 0, shots.len());
         for shot in shots {
             let painted = match self.lens {

@@ -10,7 +10,7 @@ use dpges_train::run::folder::hold_file;
 use dpges_train::run::scale::{Place, store};
 
 use super::data::Scene;
-use super::device_choice::{DeviceArgs, watched};
+use super::device_choice::{DeviceArgs, select, watched};
 use super::{Result, print, table};
 
 /// Store in a scene how many metres a world unit has, from a length that is known
@@ -43,7 +43,7 @@ pub fn run(args: &ScaleArgs) -> Result<()> {
     if !places.iter().any(|place| place.is_on_photograph()) {
         return print(&table(&store(&scene, places, args.length, &[], None)?));
     }
-    let device = args.device.select()?;
+    let device = select(args.device.request)?;
     let (_, dataset) = scene.read(args.data.as_deref(), &Place::reading(), false)?;
     let views: Vec<&View> = dataset.train.iter().chain(&dataset.test).collect();
     watched(device, || {

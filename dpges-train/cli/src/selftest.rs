@@ -2,13 +2,14 @@
 
 use std::time::Instant;
 
+use burn::tensor::Device;
 use clap::{Args, value_parser};
 use dpges_train::device::failure::Watch;
 use dpges_train::device::selftest::{CASES, Report};
 use dpges_train::device::{DeviceName, DeviceRequest, extremes};
 use indicatif::ProgressBar;
 
-use super::{Failure, Result, device_choice, print, print_json, table};
+use super::{Failure, Result, device_choice, print_either, table};
 
 /// Check that a device computes correctly
 ///
@@ -37,19 +38,14 @@ pub fn run(args: &SelftestArgs) -> Result<()> {
     let device = name.open()?;
     let description = name.describe()?;
     if let Some(count) = args.extremes {
-        return at_extremes(count, name, &description, args.json);
+        return at_extremes(count, name, &device, &description, args.json);
     }
     let start = Instant::now();
     let findings = Watch::start()
         .catch(|| CASES.iter().flat_map(|case| case.check(&device)).collect::<Vec<_>>())
         .map_err(|failure| Failure::with_help(format!("{description} failed: {failure}"), advice(name)))?;
-    let seconds = start.elapsed().as_secs_f64();
-    let report = Report::new(name.to_string(), description, &findings, seconds);
-    if args.json {
-        print_json(&report)?
-    } else {
-        print(&table(&report.rows()))?
-    }
+    let report = Report::new(name.to_string(), description, &findings, start.elapsed().as_secs_f64());
+    print_either(args.json, &report, &table(&report.rows()))?;
     if report.passed {
         return Ok(());
     }
@@ -57,18 +53,13 @@ pub fn run(args: &SelftestArgs) -> Result<()> {
     Err(Failure::with_help(message, advice(name)))
 }
 
-fn at_extremes(count: u64, name: DeviceName, description: &str, json: bool) -> Result<()> {
-    let device = name.open()?;
+fn at_extremes(count: u64, name: DeviceName, device: &Device, description: &str, json: bool) -> Result<()> {
     let progress = ProgressBar::new(count);
     let found = Watch::start()
-        .catch(|| extremes::measure(count, &device, description, || progress.inc(1)))
+        .catch(|| extremes::measure(count, device, description, || progress.inc(1)))
         .map_err(|failure| Failure::with_help(format!("{description} failed: {failure}"), advice(name)))??;
     progress.finish_and_clear();
-    if json {
-        print_json(&found)?
-    } else {
-        print(&found.markdown())?
-    }
+    print_either(json, &found, &found.markdown())?;
     match found.non_finite {
         0 => Ok(()),
         count => {

@@ -258,6 +258,7 @@ mod tests {
     use super::super::fixtures::{self, Encoding, assert_refused, assert_says, colmap_folder, said, write_mask};
     use super::super::load;
     use super::*;
+    use crate::MaxResolution;
 
     #[test]
     fn geo_referenced_worlds_keep_sub_millimetre_precision() {
@@ -335,13 +336,13 @@ mod tests {
     fn the_longer_side_is_capped_and_intrinsics_follow() {
         let folder = colmap_folder(&fixtures::scene(9), Encoding::Text);
         let full = load(folder.path(), &LoadOptions::default()).unwrap();
-        let options = LoadOptions { max_resolution: Some(12), near: Some(0.5), ..Default::default() };
+        let options = LoadOptions { max_resolution: MaxResolution(12), near: Some(0.5), ..Default::default() };
         let small = load(folder.path(), &options).unwrap();
         let camera = small.train[0].camera;
         assert_eq!((camera.width, camera.height, camera.fx, camera.near), (12, 8, 10.0, 0.5));
         assert_eq!(small.train[0].picture().unwrap().bytes.len(), 3 * 12 * 8);
         assert_eq!(full.train[0].camera.width, 24);
-        let enough = LoadOptions { max_resolution: Some(24), ..Default::default() };
+        let enough = LoadOptions { max_resolution: MaxResolution(24), ..Default::default() };
         let same = load(folder.path(), &enough).unwrap();
         assert_eq!(same.train[0].picture().unwrap(), full.train[0].picture().unwrap());
     }
@@ -386,8 +387,8 @@ mod tests {
         write_mask(&folder.path().join("masks/left/003.png"), [24, 16], 12);
         let read = |options: LoadOptions| load(folder.path(), &options).unwrap();
         let lens = LoadOptions { undistort: false, ..Default::default() };
-        for (max_resolution, memory) in [(None, usize::MAX), (None, 0), (Some(12), usize::MAX)] {
-            let data = read(LoadOptions { max_resolution, memory, ..lens.clone() });
+        for (max_resolution, memory) in [(0, usize::MAX), (0, 0), (12, usize::MAX)] {
+            let data = read(LoadOptions { max_resolution: MaxResolution(max_resolution), memory, ..lens.clone() });
             let masked = data.masked();
             assert_eq!((masked.views, masked.masked_views), (9, 9));
             for view in data.train.iter().chain(&data.test).filter(|view| view.name != "left/003.png") {

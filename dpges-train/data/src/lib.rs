@@ -79,7 +79,7 @@ pub use empty_space::EmptySpace;
 pub use error::DatasetError;
 pub use finding::{Finding, Kind, Notices};
 use formats::colmap::{ModelContent, model_content};
-pub use load_options::LoadOptions;
+pub use load_options::{LoadOptions, MaxResolution};
 pub use split::Split;
 pub use tracks::Tracks;
 pub use upwards::upwards;

@@ -2,7 +2,21 @@
 
 use std::path::PathBuf;
 
+use serde::{Deserialize, Serialize};
+
 use super::DepthKind;
+
+/// The largest length of the longer side of a picture, px. Larger pictures are downsampled; 0 sets no limit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct MaxResolution(pub usize);
+
+impl MaxResolution {
+    /// The longer side of a picture of which it was `longer`.
+    pub fn of(self, longer: usize) -> usize {
+        if self.0 == 0 { longer } else { longer.min(self.0) }
+    }
+}
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadOptions {
@@ -10,8 +24,7 @@ pub struct LoadOptions {
     pub background: Option<[f64; 3]>,
     /// Read `images_2`, `images_4`, … as shipped instead of `images`.
     pub image_scale: Option<u32>,
-    /// Largest length of the longer side of a picture, px. Larger pictures are downscaled.
-    pub max_resolution: Option<usize>,
+    pub max_resolution: MaxResolution,
     /// Hold out every n-th view by name if the dataset stores no split. 0 holds none out and accepts a dataset without
     /// held-out views.
     pub test_every: usize,
@@ -36,7 +49,7 @@ impl Default for LoadOptions {
         Self {
             background: None,
             image_scale: None,
-            max_resolution: None,
+            max_resolution: MaxResolution::default(),
             test_every: 8,
             undistort: true,
             near: None,

@@ -68,7 +68,7 @@ mod tests {
     use super::super::fixtures::{
         self, Encoding, assert_refused, colmap_folder, export_panoramas, nerfstudio_frame, write_png, write_transforms,
     };
-    use super::super::{BuiltinOptions, DepthKind, LoadOptions, builtin, builtin_geometry, load};
+    use super::super::{BuiltinOptions, DepthKind, LoadOptions, MaxResolution, builtin, builtin_geometry, load};
 
     fn room() -> (tempfile::TempDir, super::super::Dataset) {
         let options =
@@ -116,7 +116,8 @@ mod tests {
         data.keep_for_validation(2);
         let kept: Vec<String> = data.validation.iter().map(super::super::View::photograph_name).collect();
         assert_eq!((kept.len(), kept.iter().filter(|name| *name == "images/train_001.png").count()), (12, 6));
-        let small = load(folder.path(), &LoadOptions { max_resolution: Some(20), ..Default::default() }).unwrap();
+        let small =
+            load(folder.path(), &LoadOptions { max_resolution: MaxResolution(20), ..Default::default() }).unwrap();
         assert_eq!((small.train[0].camera.width, small.train[0].picture().unwrap().bytes.len()), (20, 1200));
     }
 

@@ -195,7 +195,7 @@ fn from_builtin(changes: &str, options: &LoadOptions) -> Result<Dataset> {
     if options.image_scale.is_some() {
         return Err(SourceError::OneScale);
     }
-    let size = options.max_resolution.map_or(BUILTIN_SIZE, |cap| cap.min(BUILTIN_SIZE));
+    let size = options.max_resolution.of(BUILTIN_SIZE);
     let scene = BuiltinOptions {
         width: size,
         height: size,

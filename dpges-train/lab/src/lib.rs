@@ -8,6 +8,7 @@
 //! | dpges-train, dpges-render, dpges-core, burn | runs, pictures, scenes, devices |
 //! | glam, nalgebra | positions; the axes of merged primitives |
 //! | image, plotters, epaint_default_fonts, base64 | plots, their letters, pictures within a report |
+//! | clap | options of a benchmark |
 //! | humantime | the date of a report |
 //! | rand, rand_chacha, rayon | random numbers; what is computed in parallel |
 //! | serde, serde_json, toml, tempfile, thiserror, tracing | reports, plans, errors, messages |

@@ -143,6 +143,7 @@ value!(bool, "true or false", toml::Value::is_bool);
 value!(u32, "a whole number", toml::Value::is_integer);
 value!(u64, "a whole number", toml::Value::is_integer);
 value!(usize, "a whole number", toml::Value::is_integer);
+value!(crate::dataset::MaxResolution, "a whole number", toml::Value::is_integer);
 value!(f64, "a number", |value| value.is_float() || value.is_integer());
 value!(String, "a string", toml::Value::is_str);
 value!(Vec<usize>, "a list", toml::Value::is_array);

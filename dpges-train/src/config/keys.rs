@@ -15,6 +15,7 @@ use super::error::ConfigError;
 use super::memory::Memory;
 use super::pixels::PixelCount;
 use super::range::{self, POSITIVE, POSITIVE_SHARE};
+use crate::dataset::MaxResolution;
 
 configuration! {
     /// How a dataset is read.
@@ -30,7 +31,7 @@ configuration! {
         /// Which photographs to read: 1 for the folder `images`, N for `images_N`, downsampled N times as shipped.
         image_scale: u32 = 1, range: 1..;
         /// Longest side of a picture. Larger photographs are downsampled; 0 sets no limit.
-        max_resolution: usize = 1600, unit: "px";
+        max_resolution: MaxResolution = MaxResolution(1600), unit: "px";
         /// Hold out every n-th view by name for testing if the dataset has no split of its own. 0 holds out none.
         test_every: usize = 8, unit: "views";
         /// Keep every n-th training view for validation, for `train.stop` and `refine.budget` to decide by. 0 keeps

@@ -13,7 +13,7 @@ impl DataConfig {
                 Background::Auto | Background::Transparent => None,
             },
             image_scale: (self.image_scale > 1).then_some(self.image_scale),
-            max_resolution: (self.max_resolution > 0).then_some(self.max_resolution),
+            max_resolution: self.max_resolution,
             test_every: self.test_every,
             undistort: self.undistort,
             near: (self.near > 0.0).then_some(self.near),
@@ -44,17 +44,18 @@ impl Config {
 mod tests {
     use super::*;
     use crate::config::Memory;
+    use crate::dataset::MaxResolution;
 
     #[test]
     fn zeros_and_auto_leave_the_choice_to_the_dataset() {
-        let options = DataConfig { max_resolution: 0, ..Default::default() }.load_options();
+        let options = DataConfig { max_resolution: MaxResolution(0), ..Default::default() }.load_options();
         let memory = Memory::Auto.bytes();
         assert_eq!(options, LoadOptions { memory, ..LoadOptions::default() });
         let data =
             DataConfig { background: Background::Colour([1.0; 3]), image_scale: 4, near: 0.5, ..Default::default() };
         let options = data.load_options();
         assert_eq!((options.background, options.image_scale, options.near), (Some([1.0; 3]), Some(4), Some(0.5)));
-        assert_eq!((options.max_resolution, options.depth), (Some(1600), None));
+        assert_eq!((options.max_resolution, options.depth), (MaxResolution(1600), None));
         let data = DataConfig { depth: DepthMaps::Relative, ..Default::default() };
         assert_eq!((data.load_options().depth, data.load_options().points), (Some(DepthKind::Relative), None));
         let data = DataConfig { points: "scan.e57".into(), ..Default::default() };

@@ -242,7 +242,7 @@ mod tests {
         let [fast, balanced, quality] = ["fast", "balanced", "quality"].map(preset);
         assert_eq!(balanced, Config::default());
         assert!(fast.train.steps < balanced.train.steps && balanced.train.steps < quality.train.steps);
-        assert!(fast.data.max_resolution < quality.data.max_resolution);
+        assert!(fast.data.max_resolution.0 < quality.data.max_resolution.0);
     }
 
     /// The keys that a preset itself names, whatever the defaults are. `expected` is TOML with a section a line.

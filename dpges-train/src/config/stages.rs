@@ -325,6 +325,12 @@ impl Config {
     }
 }
 
+/// Reads a factor for [`Config::scale_steps`].
+pub fn factor(text: &str) -> Result<f64, String> {
+    let factor = text.parse().ok().filter(|factor: &f64| factor.is_finite() && *factor > 0.0);
+    factor.ok_or_else(|| "expected a positive, finite number, such as 0.1 for a tenth of the steps".to_owned())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -399,5 +405,13 @@ mod tests {
             assert!(error.contains("`train.steps` is 2500 ×") && error.contains("expected 1 to 1e15"), "{error}");
         }
         assert_eq!(tenth.train.steps, 2500);
+    }
+
+    #[test]
+    fn factors_are_positive_and_finite() {
+        assert_eq!(factor("0.25"), Ok(0.25));
+        for text in ["0", "-1", "inf", "nan", "half", ""] {
+            assert!(factor(text).unwrap_err().contains("positive, finite"), "{text}");
+        }
     }
 }

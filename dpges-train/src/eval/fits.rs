@@ -30,10 +30,9 @@ pub fn posed(
     view: &View,
     picture: &Picture,
     extent: f64,
-    device: &Device,
     exposure: bool,
 ) -> Result<[Option<f64>; 2]> {
-    let (width, counted) = (picture.width, picture.counted.as_deref());
+    let (device, width, counted) = (renderer.device(), picture.width, picture.counted.as_deref());
     let is_left = |pixel: usize| pixel % width < width / 2 && counted.is_none_or(|counted| counted[pixel]);
     let left: Vec<bool> = (0..picture.area()).map(is_left).collect();
     if !left.contains(&true) {

@@ -12,6 +12,7 @@ pub mod frame_ms;
 pub mod frame_rates;
 pub mod painted;
 pub mod pictures;
+pub mod plan;
 pub mod popping;
 mod pose_fit;
 pub mod rendered;
@@ -185,7 +186,7 @@ impl Evaluation {
 /// # Errors
 /// The errors of [`TrainingRenderer::render`]; [`Error::Option`] if there are no views.
 pub fn evaluate(scene: &SceneData, views: &[View], device: &Device) -> Result<Evaluation> {
-    evaluate_each(&TrainingRenderer::new(scene, device), scene, views, device, Measures::BASIC, |_, _| Ok(()))
+    evaluate_each(&TrainingRenderer::new(scene, device), scene, views, Measures::BASIC, |_, _| Ok(()))
 }
 
 /// Like [`evaluate`], with a scene that is on its device already, by all `measures`. Views are shared out among the ranks, which all
@@ -194,14 +195,13 @@ pub fn evaluate_each<E: From<Error>>(
     renderer: &TrainingRenderer,
     scene: &SceneData,
     views: &[View],
-    device: &Device,
     measures: Measures<'_>,
     mut visit: impl FnMut(usize, &Rendered) -> Result<(), E>,
 ) -> Result<Evaluation, E> {
     if views.is_empty() {
         return Err(Error::Option { option: "views", expected: "at least one".to_owned(), found: "none".into() }.into());
     }
-    let job = renderer.job();
+    let (job, device) = (renderer.job(), renderer.device());
     let mut own_pictures = pictures(views.iter().skip(job.rank()).step_by(job.count()));
     let mut own = Vec::with_capacity(views.len());
     for (index, view) in views.iter().enumerate() {
@@ -219,7 +219,7 @@ pub fn evaluate_each<E: From<Error>>(
         let mut score = score(&view.name, &picture, render.image().clone(), seconds, device, measures)?;
         if measures.posed {
             [score.scores.fitted.psnr_posed, score.scores.fitted.ssim_posed] =
-                posed(renderer, view, &picture, scene.info.extent, device, measures.fitted)?;
+                posed(renderer, view, &picture, scene.info.extent, measures.fitted)?;
         }
         score.coverage = render.coverage();
         own.push(score);

@@ -22,8 +22,8 @@ fn views(side: usize) -> Vec<View> {
 }
 
 fn measured(scene: &SceneData, views: &[View], measures: Measures) -> Evaluation {
-    let (renderer, device) = (TrainingRenderer::new(scene, &device()), device());
-    let found: Result<_> = evaluate_each(&renderer, scene, views, &device, measures, |_, _| Ok(()));
+    let found: Result<_> =
+        evaluate_each(&TrainingRenderer::new(scene, &device()), scene, views, measures, |_, _| Ok(()));
     found.unwrap()
 }
 
@@ -242,7 +242,7 @@ fn views_are_shared_out_among_ranks_and_all_get_the_scores() {
                     visited.push(index);
                     Ok(())
                 };
-                let found = evaluate_each(&renderer, &scene, &dataset.test, &device, Measures::perceptual(&[]), visit);
+                let found = evaluate_each(&renderer, &scene, &dataset.test, Measures::perceptual(&[]), visit);
                 assert!(visited.iter().copied().eq((rank..5).step_by(count)));
                 found.unwrap()
             })

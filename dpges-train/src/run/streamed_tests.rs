@@ -8,7 +8,7 @@ use image::{DynamicImage, GrayImage, RgbImage};
 use super::fixtures::{STAGES, config, device, finished, options};
 use super::masked_tests::overpainted;
 use super::*;
-use crate::dataset::{LoadOptions, SAMPLED_VIEWS, View, builtin, load};
+use crate::dataset::{LoadOptions, MaxResolution, SAMPLED_VIEWS, View, builtin, load};
 use crate::eval::evaluate;
 
 /// Saves an image, and makes the folder that it goes to.
@@ -64,7 +64,8 @@ fn where_photographs_are_kept_changes_no_bit_of_a_run() {
     std::fs::rename(folder.path().join("masked/masks"), folder.path().join("masks")).unwrap();
 
     let read = |memory: usize| {
-        let options = LoadOptions { memory, near: Some(data.near), max_resolution: Some(20), ..Default::default() };
+        let options =
+            LoadOptions { memory, near: Some(data.near), max_resolution: MaxResolution(20), ..Default::default() };
         let mut read = load(folder.path(), &options).unwrap();
         read.points = data.points.clone();
         read

@@ -204,9 +204,9 @@ impl Run {
     }
 
     fn evaluate_validation(&self, scene: &SceneData) -> Result<Evaluation, RunError> {
-        let (views, device) = (&self.trainer.dataset().validation, self.trainer.device());
+        let views = &self.trainer.dataset().validation;
         let measures = Measures { fitted: self.trainer.corrects_exposure(), ..Measures::BASIC };
-        evaluate_each(&self.renderer(scene), scene, views, device, measures, |_, _| Ok(()))
+        evaluate_each(&self.renderer(scene), scene, views, measures, |_, _| Ok(()))
     }
 
     /// The PSNR of validation views that all ranks decide by, dB.
@@ -246,11 +246,11 @@ impl Run {
         if dataset.test.is_empty() {
             return Ok(None);
         }
-        let (views, step, device) = (&dataset.test, self.trainer.completed_steps(), self.trainer.device());
+        let (views, step) = (&dataset.test, self.trainer.completed_steps());
         let stems = file_stems(views.iter().map(|view| &*view.name));
         let measures = Measures { fitted: self.trainer.corrects_exposure(), ..measures };
         let shown = evenly_spaced(PICTURE_VIEWS, views.len());
-        let evaluation = evaluate_each(&self.renderer(scene), scene, views, device, measures, |index, render| {
+        let evaluation = evaluate_each(&self.renderer(scene), scene, views, measures, |index, render| {
             let Some(folder) = self.folder.as_ref().filter(|_| shown.contains(&index)) else { return Ok(()) };
             save_png(&comparison(&views[index], render)?, &folder.picture(step, &stems[index]))
         })?;

@@ -3,26 +3,19 @@
 mod render;
 mod step;
 
-use clap::{Args, Subcommand};
+use clap::Subcommand;
 
 use super::Result;
 
-/// Measure speed on this machine
-#[derive(Debug, Args)]
-pub struct BenchArgs {
-    #[command(subcommand)]
-    what: What,
-}
-
 #[derive(Debug, Subcommand)]
-enum What {
+pub enum BenchCommand {
     Render(render::BenchRenderArgs),
     Step(step::BenchStepArgs),
 }
 
-pub fn run(args: &BenchArgs) -> Result<()> {
-    match &args.what {
-        What::Render(args) => render::run(args),
-        What::Step(args) => step::run(args),
+pub fn run(command: &BenchCommand) -> Result<()> {
+    match command {
+        BenchCommand::Render(args) => render::run(args),
+        BenchCommand::Step(args) => step::run(args),
     }
 }

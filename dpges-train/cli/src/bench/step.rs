@@ -17,7 +17,7 @@ use dpges_train::run::step_cost::{Rounds, StepCost, StepStage, Steps, measure};
 use serde::Serialize;
 
 use super::super::data::{Scene, ViewArgs, every_nth};
-use super::super::device_choice::{DeviceArgs, watched};
+use super::super::device_choice::{DeviceArgs, select, watched};
 use super::super::{Failure, Result, hold_report, print_report, table};
 
 /// Name of the synthetic scene of the benchmarks.
@@ -78,7 +78,7 @@ struct Report {
 
 pub fn run(args: &BenchStepArgs) -> Result<()> {
     let _held = hold_report(args.json.as_deref())?;
-    let device = args.device.select()?;
+    let device = select(args.device.request)?;
     watched(device, || {
         let opened = device.open()?;
         let (scene, cameras) = args.scene(&opened)?;

@@ -2,11 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::builder::PossibleValuesParser;
-use clap::{Args, value_parser};
-use dpges_lab::study::benchmark::layout::Asked;
-use dpges_lab::study::benchmark::protocol::Protocol;
-use dpges_lab::study::benchmark::published::{PUBLISHED, WAYS};
+use clap::Args;
 use dpges_lab::study::benchmark::{Benchmark, Request};
 use dpges_train::dataset::source::Source;
 use dpges_train::device::DeviceRequest;
@@ -17,7 +13,6 @@ use super::Training;
 use crate::device_choice::watched;
 use crate::logging::LogStyle;
 use crate::lpips::LpipsArgs;
-use crate::train::options::factor;
 use crate::{Result, device_choice, print};
 
 /// Train methods on published datasets with their published settings, and write the tables of the paper
@@ -29,36 +24,8 @@ use crate::{Result, device_choice, print};
 /// benchmark.json.
 #[derive(Debug, Args)]
 pub struct BenchmarkArgs {
-    /// Folder of the datasets
-    #[arg(long, value_name = "DIR")]
-    data: PathBuf,
-    /// Folder for runs and tables
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// Datasets, separated by commas [default: those that are there]
-    #[arg(long, value_name = "DATASET", value_delimiter = ',', value_parser = PossibleValuesParser::new(PUBLISHED.names()))]
-    datasets: Vec<String>,
-    /// Scenes, separated by commas [default: those that are there]
-    #[arg(long, value_name = "SCENE", value_delimiter = ',')]
-    scenes: Vec<String>,
-    /// Methods and ablations, separated by commas [default: all methods]
-    #[arg(long, value_name = "METHOD", value_delimiter = ',', value_parser = PossibleValuesParser::new(WAYS.iter().map(|way| way.name)))]
-    methods: Vec<String>,
-    /// Factor on the published steps of every method
-    #[arg(long, value_name = "F", default_value_t = 1.0, value_parser = factor)]
-    steps_scale: f64,
-    /// Longest side of photographs, px [default: as published]
-    #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..))]
-    max_resolution: Option<u32>,
-    /// Give 3DGS-MCMC, DBS and SSS the numbers of primitives of their own publications, not that of DP-GES
-    #[arg(long)]
-    own_caps: bool,
-    /// Keep every eighth training view, and end a run that no longer improves it
-    #[arg(long)]
-    flexible_stopping: bool,
-    /// Number of seeds, from 0
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u64).range(1..=1000))]
-    seeds: u64,
+    #[command(flatten)]
+    request: Request,
     /// Devices, separated by commas, each of which works on one cell at a time
     #[arg(long, value_name = "NAME", value_delimiter = ',', default_value = "auto")]
     devices: Vec<DeviceRequest>,
@@ -76,12 +43,7 @@ pub struct BenchmarkArgs {
 }
 
 pub fn run(args: BenchmarkArgs, style: LogStyle) -> Result<()> {
-    let BenchmarkArgs { data, out, datasets, scenes, methods, steps_scale, own_caps, flexible_stopping, seeds, .. } =
-        args;
-    let max_resolution = args.max_resolution.map(|px| px as usize);
-    let protocol = Protocol { steps_scale, max_resolution, own_caps, flexible_stopping, seeds };
-    let (scenes, lpips) = (Asked { datasets, scenes }, args.lpips.chosen().to_vec());
-    let request = Request { data, out, scenes, methods, protocol, lpips };
+    let request = Request { lpips: args.lpips.chosen, ..args.request };
     if let Some(name) = &args.cell {
         return work(&Benchmark::one(name, request)?, args.devices[0], style);
     }
@@ -106,5 +68,5 @@ fn work(benchmark: &Benchmark, device: DeviceRequest, style: LogStyle) -> Result
     let source = Source::named(Some(&planned.scene.path));
     let mut training = Training::new(source, &cell.config, name, name.open()?, style, interrupts::watch()?)?;
     training.train(&cell, &mut ())?;
-    watched(name, || Ok(benchmark.measure(planned, &cell, &training.dataset, (name, &training.device))?))
+    watched(name, || Ok(benchmark.measure(planned, &cell, &training.dataset, name, &training.device)?))
 }

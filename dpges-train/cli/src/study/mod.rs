@@ -20,13 +20,14 @@ use dpges_lab::study::{report, sheets};
 use dpges_train::config::{Config, DataConfig};
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
+use dpges_train::metrics::lpips::choice::load;
 use dpges_train::run::folder::Origin;
 use dpges_train::run::hold::Hold;
 use dpges_train::run::jobs::State;
 use dpges_train::run::{Observer, Run, SavedRun, interrupts};
 
 use super::data::Source;
-use super::device_choice::{DeviceArgs, watched};
+use super::device_choice::{DeviceArgs, select, watched};
 use super::logging::LogStyle;
 use super::lpips::LpipsArgs;
 use super::train::options::ConfigArgs;
@@ -86,7 +87,7 @@ impl StudyArgs {
 
     /// The device and the data, read as `config` says.
     fn load(&self, config: &Config, style: LogStyle) -> Result<Training> {
-        let name = self.device.select()?;
+        let name = select(self.device.request)?;
         sfm::prepare(self.dataset.as_deref(), &self.options.sfm(config), style)?;
         Training::new(self.source(), config, name, name.open()?, style, interrupts::watch()?)
     }
@@ -97,7 +98,7 @@ impl StudyArgs {
         let dataset = training.source.to_string();
         let plan = Plan { variants, seeds: self.seeds, folder: self.out(), dataset: &dataset };
         let cells = plan.cells(|more| self.config(more))?;
-        let networks = self.lpips.load(&training.device)?;
+        let networks = load(&self.lpips.chosen, &training.device)?;
         cells.iter().try_for_each(|cell| cell.check(&training.dataset, &training.device))?;
         cells.iter().try_for_each(|cell| training.train(cell, &mut ()))?;
         let Training { dataset, name, device, style, .. } = &training;
@@ -170,7 +171,7 @@ impl Training {
                 .overwrite(folder.clone(), Origin::new(&self.source, self.name))?
         };
         let session = Session { run, folder: folder.clone(), device: self.name, style: self.style };
-        session.train_watched(&self.interrupted, observer)?;
+        session.train(&self.interrupted, observer)?;
         Ok(())
     }
 }

@@ -5,47 +5,37 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use clap::{Args, ValueEnum, value_parser};
+use clap::{Args, value_parser};
 use dpges_core::camera::Camera;
-use dpges_core::scene::atomic::make_folder;
 use dpges_lab::study::cell::Plan;
-use dpges_lab::study::store::{Figure, Study};
-use dpges_lab::study::trade::bench::{Bench, PICTURES};
+use dpges_lab::study::trade::bench::Bench;
 use dpges_lab::study::trade::knob::KNOBS;
-use dpges_lab::study::trade::subject::Subject;
+use dpges_lab::study::trade::subject::study;
 use dpges_lab::study::trade::sweep::Sweep;
 use dpges_lab::study::trade::trained::{Deadline, RUNS, train_each};
-use dpges_lab::study::trade::{SHAPE, variants};
+use dpges_lab::study::trade::variants;
 use dpges_render::{Headless, check_drawn_as_trained};
 use dpges_train::config::Config;
 use dpges_train::config::duration::duration;
 use dpges_train::dataset::Dataset;
 use dpges_train::device::DeviceName;
-use dpges_train::eval::pictures::{self, save_png};
+use dpges_train::metrics::lpips::choice::load;
 use dpges_train::run::hold::Hold;
 use dpges_train::run::interrupts;
 use glam::DVec3;
 
 use super::{Training, conclude};
 use crate::data::{Scene, Source, Split, ViewArgs, every_nth};
-use crate::device_choice::{DeviceArgs, watched};
+use crate::device_choice::{DeviceArgs, select, watched};
 use crate::logging::LogStyle;
 use crate::lpips::LpipsArgs;
+use crate::render::Engine;
 use crate::train::options::of_dataset;
 use crate::{Failure, Result};
 use dpges_render::path::Size;
 
 /// Most training views that say what a primitive contributes.
 const JUDGING_VIEWS: usize = 32;
-
-/// A renderer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Engine {
-    /// The real-time one, on the graphics adapter that wgpu prefers
-    Raster,
-    /// The one that is trained with, on --device
-    Training,
-}
 
 /// Measure what is lost in quality for what is gained in speed, size and time
 ///
@@ -103,7 +93,7 @@ pub fn run(args: &TradeArgs, style: LogStyle) -> Result<()> {
     let _held = Hold::of_folder(&args.out)?;
     let mut scene = Scene::load(&args.scene)?;
     scene.use_pinholes();
-    let device = args.device.select()?;
+    let device = select(args.device.request)?;
     watched(device, || args.measure(&mut scene, device, deadline, style))
 }
 
@@ -126,7 +116,7 @@ impl TradeArgs {
         };
         let config = self.train.then(|| resolve(&[])).transpose()?;
         let opened = name.open()?;
-        let networks = self.lpips.load(&opened)?;
+        let networks = load(&self.lpips.chosen, &opened)?;
         let bench = Bench {
             views: every_nth(split.of(&dataset), self.count as usize).collect(),
             offset: DVec3::from_array(scene.data.info.offset),
@@ -141,23 +131,7 @@ impl TradeArgs {
             Some(headless) => headless.adapter_name(),
             None => format!("{}, by the renderer that is trained with", name.describe()?),
         };
-        let subject = Subject {
-            scene: &scene.path,
-            dataset: &source.to_string(),
-            split: &split.to_string(),
-            frame_size: [self.size.width, self.size.height],
-            device: &device,
-        };
-        let subject = subject.of(&bench)?;
-        let drawn_on = format!("Drawn on {device}.");
-        tracing::info!("{drawn_on}");
-        make_folder(&self.out.join(PICTURES))?;
-        let mut study = Study::open(&SHAPE, &self.out, subject)?;
-        study.content.notes.push(drawn_on);
-        let file = format!("{PICTURES}/photograph.png");
-        let first = bench.views[0].picture()?;
-        save_png(&pictures::photograph(&first), &self.out.join(&file))?;
-        study.content.figures.push(Figure { file, caption: "photograph".to_owned() });
+        let mut study = study(&bench, &scene.path, &source.to_string(), split, &device)?;
 
         let interrupted = interrupts::watch()?;
         let is_interrupted = || interrupted.load(Ordering::SeqCst);

@@ -56,7 +56,7 @@ fn train(session: Session, live: &LiveScene, begun: &Sender<Begun>) -> Result<St
     let _ = begun.send((views(trainer.dataset()), gpu(&session)));
     let steps = trainer.config().total_steps();
     let mut publisher = Publisher { live: live.clone(), interrupted: Arc::clone(&interrupted), steps, psnr: None };
-    let result = session.train_watched(&interrupted, &mut publisher);
+    let result = session.train(&interrupted, &mut publisher);
     if interrupted.load(Ordering::SeqCst) {
         live.close_window();
     }

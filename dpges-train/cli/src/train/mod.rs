@@ -91,7 +91,7 @@ fn train(args: TrainArgs, style: LogStyle, job: &Job) -> Result<String> {
         return live::train_in_window(move || args.session(style, &Job::join()?));
     }
     let session = args.session(style, job)?;
-    session.train(&*interrupts::watch()?)
+    session.train(&*interrupts::watch()?, &mut ())
 }
 
 /// Ends the other ranks of a job that cannot go on without this one.

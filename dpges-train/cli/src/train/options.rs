@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use dpges_train::config::stages::factor;
 use dpges_train::config::{Config, key};
 use dpges_train::dataset::capture::Options;
 
@@ -112,11 +113,6 @@ pub fn of_dataset(source: &Source) -> &'static [&'static str] {
     }
 }
 
-pub fn factor(text: &str) -> Result<f64, String> {
-    let factor = text.parse().ok().filter(|factor: &f64| factor.is_finite() && *factor > 0.0);
-    factor.ok_or_else(|| "expected a positive, finite number, such as 0.1 for a tenth of the steps".to_owned())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -126,14 +122,6 @@ mod tests {
         for preset in ["mipnerf360", "tanks-and-temples", "deep-blending", "nerf-synthetic", "ges", "default"] {
             let alone = Config::resolve(Some(preset), None, &[]).unwrap();
             assert_eq!(Config::resolve_for(&BUILTIN_DEFAULTS, Some(preset), None, &[]).unwrap(), alone, "{preset}");
-        }
-    }
-
-    #[test]
-    fn factors_are_positive_and_finite() {
-        assert_eq!(factor("0.25"), Ok(0.25));
-        for text in ["0", "-1", "inf", "nan", "half", ""] {
-            assert!(factor(text).unwrap_err().contains("positive, finite"), "{text}");
         }
     }
 }

@@ -25,13 +25,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// Trains to the end, or until `interrupted`. Returns what came out, as a table for people.
-    pub fn train(self, interrupted: &AtomicBool) -> Result<String> {
-        self.train_watched(interrupted, &mut ())
-    }
-
-    /// [`train`](Self::train) with another observer, which hears of everything too.
-    pub fn train_watched(mut self, interrupted: &AtomicBool, other: &mut dyn Observer) -> Result<String> {
+    /// Trains to the end, or until `interrupted`. Returns what came out, as a table for people. `other` hears of everything too.
+    pub fn train(mut self, interrupted: &AtomicBool, other: &mut dyn Observer) -> Result<String> {
         // a CPU does not fail while a run goes on
         let watch = (!self.device.is_cpu()).then(Watch::start);
         let mut display = Display::new(&self.run, self.style, interrupted, watch.clone(), other);

@@ -12,7 +12,7 @@ use super::photograph::ImageInfo;
 use super::{depth, masks, panorama, undistort};
 use crate::error::{DatasetError, Result};
 use crate::formats::source::{DepthFile, Frame, Split};
-use crate::{DepthKind, DepthMap, LoadOptions, Picture};
+use crate::{DepthKind, DepthMap, LoadOptions, MaxResolution, Picture};
 
 /// How frames are read.
 #[derive(Debug)]
@@ -20,7 +20,7 @@ pub(crate) struct ImageDecoder {
     alpha: Alpha,
     invert_masks: bool,
     undistort: bool,
-    max_resolution: Option<usize>,
+    max_resolution: MaxResolution,
     depth: Option<DepthKind>,
     pinholes: PerLens<Option<Camera>>,
     ignored: PerLens<Option<usize>>,
@@ -138,13 +138,9 @@ impl ImageDecoder {
 
     fn capped(&self, camera: Camera) -> Camera {
         let longer = camera.width.max(camera.height);
-        match self.max_resolution {
-            Some(cap) if cap < longer => {
-                let side = |side: usize| ((side as f64 * cap as f64 / longer as f64).round() as usize).max(1);
-                camera.resized(side(camera.width), side(camera.height))
-            }
-            _ => camera,
-        }
+        let limit = self.max_resolution.of(longer);
+        let side = |side: usize| ((side as f64 * limit as f64 / longer as f64).round() as usize).max(1);
+        camera.resized(side(camera.width), side(camera.height))
     }
 }
 
@@ -202,7 +198,8 @@ mod tests {
             let mut scene = fixtures::scene(3);
             (scene.model, scene.params) = (model, params);
             let folder = colmap_folder(&scene, Encoding::Binary);
-            for (undistort, max_resolution) in [(true, None), (false, None), (true, Some(12)), (false, Some(13))] {
+            for (undistort, max_resolution) in [(true, 0), (false, 0), (true, 12), (false, 13)] {
+                let max_resolution = MaxResolution(max_resolution);
                 let options = LoadOptions { undistort, max_resolution, test_every: 0, ..Default::default() };
                 let source = read(folder.path(), &options);
                 let decoder = ImageDecoder::new(&options, [0.0; 3]);

@@ -151,7 +151,7 @@ mod tests {
     use crate::fixtures::{
         self, Encoding, assert_refused, colmap_folder, nerfstudio_frame, write_mask, write_transforms,
     };
-    use crate::{BuiltinOptions, LoadOptions, View, builtin, builtin_geometry, load};
+    use crate::{BuiltinOptions, LoadOptions, MaxResolution, View, builtin, builtin_geometry, load};
 
     fn of_kind(kind: DepthKind) -> LoadOptions {
         LoadOptions { depth: Some(kind), ..LoadOptions::default() }
@@ -204,7 +204,7 @@ mod tests {
     #[test]
     fn every_pixel_takes_the_value_of_the_map_where_it_lies() {
         let folder = colmap(24, 16);
-        let halved = LoadOptions { max_resolution: Some(12), ..of_kind(DepthKind::Metric) };
+        let halved = LoadOptions { max_resolution: MaxResolution(12), ..of_kind(DepthKind::Metric) };
         let map = load(folder.path(), &halved).unwrap().train[0].depth.clone().unwrap();
         assert_eq!(map.steps.len(), 12 * 8);
         // the middle of pixel (4, 3) is a corner between four pixels of the map

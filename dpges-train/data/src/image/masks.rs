@@ -87,7 +87,7 @@ mod tests {
     use crate::fixtures::{
         self, Encoding, FixtureScene, assert_refused, colmap_folder, nerfstudio_frame, write_mask, write_transforms,
     };
-    use crate::{Dataset, LoadOptions, Picture, load};
+    use crate::{Dataset, LoadOptions, MaxResolution, Picture, load};
 
     const SIZE: [u32; 2] = [24, 16];
 
@@ -139,7 +139,7 @@ mod tests {
         };
         let name = scene.images[0].name.as_str();
         write_mask(&folder.path().join("masks").join(name), SIZE, 9);
-        let options = LoadOptions { max_resolution: Some(12), test_every: 0, ..Default::default() };
+        let options = LoadOptions { max_resolution: MaxResolution(12), test_every: 0, ..Default::default() };
         let read = |garbage: u8| {
             image(name, garbage);
             picture(&load(folder.path(), &options).unwrap(), name)

@@ -47,7 +47,7 @@ impl Further<'_> {
         if lacks_lpips {
             tracing::info!("{}: measuring LPIPS of {} views", cell.folder.path().display(), views.len());
             let measures = Measures::perceptual(self.networks);
-            let found = evaluate_each(&renderer, &scene, views, self.device, measures, |_, _| Ok::<_, StudyError>(()))?;
+            let found = evaluate_each(&renderer, &scene, views, measures, |_, _| Ok::<_, StudyError>(()))?;
             for (view, found) in report.evaluation.views.iter_mut().zip(&found.views) {
                 add(&mut view.scores.perceptual, &found.scores.perceptual);
             }

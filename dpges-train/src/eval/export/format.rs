@@ -4,10 +4,10 @@ use std::path::Path;
 
 use clap::ValueEnum;
 use dpges_core::scene::length::four_digits;
-use dpges_core::scene::{SceneInfo, ScreenFilter};
+use dpges_core::scene::{Rendering, SceneData, SceneInfo, ScreenFilter};
 use dpges_render::Up;
-use dpges_render::export::Coordinates;
 use dpges_render::export::spz::SpzVersion;
+use dpges_render::export::{Coordinates, SplatCloud};
 
 use super::splats::SplatFormat;
 
@@ -153,12 +153,34 @@ impl Filter {
 }
 
 /// Which programs show splats of `filter` as they are.
-pub const fn filter_text(filter: ScreenFilter) -> &'static str {
+const fn filter_text(filter: ScreenFilter) -> &'static str {
     match filter {
         ScreenFilter::Plain => "classic: 0.3 px², not compensated",
         ScreenFilter::Compensated => "mip: 0.1 px², compensated",
         ScreenFilter::Off => "none",
     }
+}
+
+/// What splats show of their scene, and as which programs.
+pub fn splat_rows(
+    scene: &SceneData,
+    cloud: &SplatCloud,
+    filter: ScreenFilter,
+    coordinates: Coordinates,
+    format: ExportFormat,
+) -> Vec<(&'static str, String)> {
+    let counts = format!("{} surfels and {} Gaussians", scene.surfels.len(), scene.gaussians.len());
+    let mut rows = vec![("splats", format!("{} of {counts}", cloud.len()))];
+    rows.extend(place_rows(&scene.info, coordinates, format));
+    rows.push(("filter", filter_text(filter).to_owned()));
+    if scene.info.rendering == Rendering::Peeled {
+        let text = "approximation: sorted splats cannot express peeled surfels and order-free Gaussians";
+        rows.push(("note", text.to_owned()));
+    }
+    if scene.environment.is_some() {
+        rows.push(("sky", "missing: the format has no environment".to_owned()));
+    }
+    rows
 }
 
 /// Where a file has its scene, and its unit: PLY files are not turned, and those of glTF are in metres if it is known how long a

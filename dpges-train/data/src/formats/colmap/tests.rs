@@ -1,7 +1,7 @@
 use std::path::Path;
 
 use crate::fixtures::{self, Encoding, assert_refused, assert_says, colmap_folder, said};
-use crate::{Dataset, LoadOptions, load};
+use crate::{Dataset, LoadOptions, MaxResolution, load};
 use dpges_core::camera::{Camera, Distortion, Projection};
 use glam::DVec3;
 
@@ -104,7 +104,7 @@ fn photographs_are_kept_as_they_are_if_asked_for() {
         (scene.model, scene.params) = (model, params.to_vec());
         for encoding in [Encoding::Binary, Encoding::Text] {
             let folder = colmap_folder(&scene, encoding);
-            let options = LoadOptions { undistort: false, max_resolution: Some(12), ..LoadOptions::default() };
+            let options = LoadOptions { undistort: false, max_resolution: MaxResolution(12), ..LoadOptions::default() };
             let data = load(folder.path(), &options).unwrap();
             let camera = data.train[0].camera;
             assert_eq!(camera.lens.map(|lens| *lens.distortion()), Some(distortion), "{model:?}");
@@ -316,7 +316,7 @@ fn cameras_that_do_not_stand_where_their_keypoints_say_are_named() {
     let data = loaded_as(&scene, Encoding::Binary);
     assert!(near(&data, 0.5));
     assert_says(said(&data), &["OffPose", "others miss by 0.5 px (1): left/003.png (3.5 px)"]);
-    let half = LoadOptions { max_resolution: Some(12), ..LoadOptions::default() };
+    let half = LoadOptions { max_resolution: MaxResolution(12), ..LoadOptions::default() };
     let folder = colmap_folder(&scene, Encoding::Binary);
     assert!(near(&load(folder.path(), &half).unwrap(), 0.25), "px of the pictures that are trained on");
     // keypoints of pictures of another size say nothing

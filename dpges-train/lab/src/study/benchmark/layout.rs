@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::Args;
+use clap::builder::PossibleValuesParser;
 use dpges_train::dataset::{Format, format};
 
 use super::published::{DatasetEntry, PUBLISHED};
@@ -15,9 +17,13 @@ pub struct Scene {
 }
 
 /// Which datasets and scenes are wanted; all that are there where nothing is named.
-#[derive(Clone, Debug, Default)]
+#[derive(Args, Clone, Debug, Default)]
 pub struct Asked {
+    /// Datasets, separated by commas [default: those that are there]
+    #[arg(long, value_name = "DATASET", value_delimiter = ',', value_parser = PossibleValuesParser::new(PUBLISHED.names()))]
     pub datasets: Vec<String>,
+    /// Scenes, separated by commas [default: those that are there]
+    #[arg(long, value_name = "SCENE", value_delimiter = ',')]
     pub scenes: Vec<String>,
 }
 

@@ -40,7 +40,8 @@ impl Benchmark {
         planned: &Planned,
         cell: &Cell,
         dataset: &Dataset,
-        (name, device): (DeviceName, &Device),
+        name: DeviceName,
+        device: &Device,
     ) -> Result<()> {
         Further { dataset, device, networks: &[], popping: true }.measure(cell)?;
         let mut row = evaluated::row(cell)?;
@@ -57,7 +58,7 @@ impl Benchmark {
             let views = &dataset.test;
             tracing::info!("{}: measuring LPIPS of {} views", cell.name, views.len());
             let measures = Measures::lpips(&networks);
-            let found = evaluate_each(&renderer, &scene, views, device, measures, |_, _| Ok::<_, StudyError>(()))?;
+            let found = evaluate_each(&renderer, &scene, views, measures, |_, _| Ok::<_, StudyError>(()))?;
             row.set(LPIPS, found.perceptual.lpips_vgg);
         }
         let longest = dataset.test.iter().map(|view| view.camera.width.max(view.camera.height)).max();

@@ -17,6 +17,8 @@ mod written;
 use std::fs::File;
 use std::path::PathBuf;
 
+use clap::Args;
+use clap::builder::PossibleValuesParser;
 use dpges_train::config::Config;
 use dpges_train::dataset::source::Source;
 use dpges_train::metrics::lpips::choice::{Choice, has_vgg};
@@ -42,15 +44,23 @@ const ROW: &str = "row.json";
 const LOG: &str = "log.txt";
 
 /// The request of a user.
-#[derive(Clone, Debug, Default)]
+#[derive(Args, Clone, Debug, Default)]
 pub struct Request {
+    /// Folder of the datasets
+    #[arg(long, value_name = "DIR")]
     pub data: PathBuf,
+    /// Folder for runs and tables
+    #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
+    #[command(flatten)]
     pub scenes: Asked,
-    /// Names of [`ways`](WAYS); if there are none, all but ablations.
+    /// Methods and ablations, separated by commas [default: all methods]
+    #[arg(long, value_name = "METHOD", value_delimiter = ',', value_parser = PossibleValuesParser::new(WAYS.iter().map(|way| way.name)))]
     pub methods: Vec<String>,
+    #[command(flatten)]
     pub protocol: Protocol,
     /// Networks that LPIPS is measured with; of these VGG16 counts.
+    #[arg(skip)]
     pub lpips: Vec<Choice>,
 }
 
@@ -197,6 +207,7 @@ impl Benchmark {
 pub mod tests {
     use std::path::Path;
 
+    use dpges_train::dataset::MaxResolution;
     use dpges_train::run::jobs::State;
     use tempfile::TempDir;
 
@@ -261,12 +272,13 @@ pub mod tests {
     #[test]
     fn a_cell_has_the_settings_of_its_scene_and_of_the_protocol() {
         let data = data();
-        let protocol = Protocol { steps_scale: 0.01, max_resolution: Some(64), seeds: 2, ..Protocol::default() };
+        let protocol =
+            Protocol { steps_scale: 0.01, max_resolution: Some(MaxResolution(64)), seeds: 2, ..Protocol::default() };
         let all = benchmark(data.path(), &["mcmc"], protocol);
         let cell = all.cell(&all.planned()[2]).unwrap();
         let Config { data: read, train, model, .. } = &cell.config;
         assert_eq!((train.steps, train.seed, train.checkpoint_every, train.evaluate_every), (300, 1, 15, 0));
-        assert_eq!((read.image_scale, read.max_resolution), (4, 64));
+        assert_eq!((read.image_scale, read.max_resolution), (4, MaxResolution(64)));
         assert_eq!(model.colour.to_string(), "sh3");
         assert_eq!((cell.state, &cell.relative[..]), (State::New, "runs/mipnerf360/garden/mcmc/seed_1"));
         assert_eq!(cell.folder.path(), all.request.out.join(&cell.relative));

@@ -1,24 +1,35 @@
 //! Protocol that all cells of a benchmark share.
 
+use clap::builder::TypedValueParser;
+use clap::{Args, value_parser};
+use dpges_train::config::stages::factor;
 use dpges_train::config::{Config, ConfigError};
+use dpges_train::dataset::MaxResolution;
 use serde_json::{Map, Value};
 
 /// Checkpoints of a run.
 const CHECKPOINTS: usize = 20;
-/// Interval of evaluations for flexible stopping, and how many of them may be no better (DBS).
-const STOPPING: (usize, usize) = (500, 20);
+/// Interval of evaluations for flexible stopping (DBS).
+const STOPPING_EVERY: usize = 500;
+/// Evaluations in a row that may be no better (DBS).
+const STOPPING_PATIENCE: usize = 20;
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Args, Clone, Debug, PartialEq)]
 pub struct Protocol {
-    /// Factor on the steps of every method.
+    /// Factor on the published steps of every method
+    #[arg(long, value_name = "F", default_value_t = 1.0, value_parser = factor)]
     pub steps_scale: f64,
-    /// Longest side of photographs, px; `None` for those that are distributed.
-    pub max_resolution: Option<usize>,
-    /// Whether methods that relocate Gaussians have the number of primitives of their own publication, and not that of DP-GES.
+    /// Longest side of photographs, px [default: as published]
+    #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..).map(|px| MaxResolution(px as usize)))]
+    pub max_resolution: Option<MaxResolution>,
+    /// Give 3DGS-MCMC, DBS and SSS the numbers of primitives of their own publications, not that of DP-GES
+    #[arg(long)]
     pub own_caps: bool,
-    /// Whether validation views end a run.
+    /// Keep every eighth training view, and end a run that no longer improves it
+    #[arg(long)]
     pub flexible_stopping: bool,
-    /// Number of seeds, from 0.
+    /// Number of seeds, from 0
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u64).range(1..=1000))]
     pub seeds: u64,
 }
 
@@ -32,7 +43,7 @@ impl Protocol {
     /// As options of `dpges benchmark`.
     pub fn arguments(&self) -> Vec<String> {
         let mut arguments = vec![format!("--steps-scale={}", self.steps_scale), format!("--seeds={}", self.seeds)];
-        arguments.extend(self.max_resolution.map(|px| format!("--max-resolution={px}")));
+        arguments.extend(self.max_resolution.map(|most| format!("--max-resolution={}", most.0)));
         arguments.extend(self.own_caps.then(|| "--own-caps".to_owned()));
         arguments.extend(self.flexible_stopping.then(|| "--flexible-stopping".to_owned()));
         arguments
@@ -42,7 +53,7 @@ impl Protocol {
     pub fn subject(&self) -> Map<String, Value> {
         Map::from_iter([
             ("steps_scale".to_owned(), Value::from(self.steps_scale)),
-            ("max_resolution".to_owned(), self.max_resolution.map_or(Value::Null, Value::from)),
+            ("max_resolution".to_owned(), self.max_resolution.map(|most| most.0).into()),
             ("own_caps".to_owned(), Value::from(self.own_caps)),
             ("flexible_stopping".to_owned(), Value::from(self.flexible_stopping)),
         ])
@@ -51,10 +62,10 @@ impl Protocol {
     /// `key=value` of a run with this seed, but for its length.
     pub fn settings(&self, seed: u64) -> Vec<String> {
         let mut settings = vec![format!("train.seed={seed}")];
-        settings.extend(self.max_resolution.map(|px| format!("data.max_resolution={px}")));
+        settings.extend(self.max_resolution.map(|most| format!("data.max_resolution={}", most.0)));
         if self.flexible_stopping {
             settings.push("train.stop=validation".to_owned());
-            settings.push(format!("train.patience={}", STOPPING.1));
+            settings.push(format!("train.patience={STOPPING_PATIENCE}"));
         }
         settings
     }
@@ -67,7 +78,7 @@ impl Protocol {
     pub fn scale(&self, config: &mut Config) -> Result<(), ConfigError> {
         config.scale_steps(self.steps_scale)?;
         config.train.checkpoint_every = (config.train.steps / CHECKPOINTS).max(1);
-        let evaluates = (STOPPING.0 as f64 * self.steps_scale).round() as usize;
+        let evaluates = (STOPPING_EVERY as f64 * self.steps_scale).round() as usize;
         config.train.evaluate_every = if self.flexible_stopping { evaluates.max(1) } else { 0 };
         Ok(())
     }
@@ -119,8 +130,8 @@ mod tests {
     #[test]
     fn arguments_name_what_is_asked_for_and_nothing_else() {
         assert_eq!(Protocol::default().arguments(), ["--steps-scale=1", "--seeds=1"]);
-        let all =
-            Protocol { steps_scale: 0.25, max_resolution: Some(64), own_caps: true, flexible_stopping: true, seeds: 3 };
+        let max_resolution = Some(MaxResolution(64));
+        let all = Protocol { steps_scale: 0.25, max_resolution, own_caps: true, flexible_stopping: true, seeds: 3 };
         let expected = ["--steps-scale=0.25", "--seeds=3", "--max-resolution=64", "--own-caps", "--flexible-stopping"];
         assert_eq!(all.arguments(), expected);
         assert_ne!(all.subject(), Protocol { own_caps: false, ..all.clone() }.subject());

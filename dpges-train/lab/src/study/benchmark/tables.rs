@@ -165,7 +165,7 @@ impl Tables {
             let line = |method: &'static MethodEntry| {
                 let published = |column: &Column| (column.published)(method, column.dataset);
                 let is_capped = protocol.own_caps && method.matches;
-                line(rows, protocol, (&method.name, &method.title), columns, is_capped, published)
+                line(rows, protocol, &method.name, &method.title, columns, is_capped, published)
             };
             let has_any = |line: &Line| line.entries.iter().any(|entry| entry.published.or(entry.found).is_some());
             PUBLISHED.methods.iter().map(line).filter(has_any).collect()
@@ -176,7 +176,7 @@ impl Tables {
                 let at = of_ablations.iter().position(|other| other.key == column.key)?;
                 numbers.get(at).copied()
             };
-            line(rows, protocol, (&ablation.name, &ablation.title), &of_ablations, false, published)
+            line(rows, protocol, &ablation.name, &ablation.title, &of_ablations, false, published)
         });
         let ablations = ablations.collect();
         let tables = vec![
@@ -197,7 +197,8 @@ impl Tables {
 fn line(
     rows: &[Row],
     protocol: &Protocol,
-    (name, title): (&'static str, &'static str),
+    name: &'static str,
+    title: &'static str,
     columns: &[Column],
     is_capped: bool,
     published: impl Fn(&Column) -> Option<f64>,

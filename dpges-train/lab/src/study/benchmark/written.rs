@@ -31,7 +31,9 @@ fn sentences(tables: &Tables, study: &Study, protocol: &Protocol) -> Vec<String>
     if protocol.steps_scale != 1.0 {
         sentences.push(format!("Every method has {} of its published steps.", protocol.steps_scale));
     }
-    sentences.extend(protocol.max_resolution.map(|px| format!("The longer side of photographs is at most {px} px.")));
+    sentences.extend(
+        protocol.max_resolution.map(|most| format!("The longer side of photographs is at most {} px.", most.0)),
+    );
     sentences.extend(protocol.sentences().map(str::to_owned));
     let mut scenes: Vec<&str> = tables.scenes.iter().map(|line| &line.scene[..]).collect();
     scenes.dedup();
@@ -172,6 +174,8 @@ fn escaped(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use dpges_train::dataset::MaxResolution;
+
     use super::super::SHAPE;
     use super::super::tables::tests::row;
     use super::*;
@@ -179,7 +183,7 @@ mod tests {
     #[test]
     fn tables_are_written_with_marks_published_numbers_and_orders() {
         let folder = tempfile::tempdir().unwrap();
-        let protocol = Protocol { steps_scale: 0.5, max_resolution: Some(64), ..Protocol::default() };
+        let protocol = Protocol { steps_scale: 0.5, max_resolution: Some(MaxResolution(64)), ..Protocol::default() };
         let mut study = Study::new(&SHAPE, folder.path(), protocol.subject());
         study.content.rows = vec![
             row("mcmc", "tanks-and-temples/truck", 0, 21.234),

@@ -27,8 +27,12 @@ pub const PICTURES: &str = "pictures";
 /// Rounds over the cameras that are not counted.
 const WARM_UP: usize = 1;
 
-/// Pictures, times of frames, and memory on the adapter, bytes.
-type Drawn = (Vec<Rgb8Image>, FrameTimes, Option<u64>);
+struct Drawn {
+    pictures: Vec<Rgb8Image>,
+    times: FrameTimes,
+    /// On the adapter; `None` without one.
+    gpu_bytes: Option<u64>,
+}
 
 /// Draws scenes from the views of one dataset.
 pub struct Bench<'a> {
@@ -86,7 +90,7 @@ impl Bench<'_> {
             self.views.iter().map(|view| in_scene(view.camera, self.offset, &scene.info)).collect();
         let frames: Vec<Camera> = cameras.iter().map(|camera| smaller((self.sized)(camera))).collect();
         let drawn: Vec<Camera> = cameras.into_iter().map(smaller).collect();
-        let (pictures, times, gpu_bytes) = match &self.headless {
+        let Drawn { pictures, times, gpu_bytes } = match &self.headless {
             Some(headless) => self.raster(headless, scene, &drawn, &frames, changes.contains(&Change::HalfSums))?,
             None => self.training(scene, &drawn, &frames)?,
         };
@@ -131,14 +135,14 @@ impl Bench<'_> {
         let draw = |camera: &Camera| headless.draw(&mut renderer, camera, &options);
         let pictures = cameras.iter().map(draw).collect::<dpges_render::Result<_>>()?;
         let times = frame_times(headless, &mut renderer, frames, &options, self.counts())?;
-        Ok((pictures, times, headless.allocated_bytes()))
+        Ok(Drawn { pictures, times, gpu_bytes: headless.allocated_bytes() })
     }
 
     fn training(&self, scene: &SceneData, cameras: &[Camera], frames: &[Camera]) -> Result<Drawn> {
         let renderer = TrainingRenderer::new(scene, self.device);
         let picture = |camera: &Camera| Ok(to_picture(renderer.render(camera)?.image()));
         let pictures = cameras.iter().map(picture).collect::<Result<_>>()?;
-        Ok((pictures, renderer.frame_times(frames, self.counts())?, None))
+        Ok(Drawn { pictures, times: renderer.frame_times(frames, self.counts())?, gpu_bytes: None })
     }
 }
 

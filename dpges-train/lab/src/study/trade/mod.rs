@@ -63,7 +63,7 @@ pub fn variants(config: &Config, dataset: &Dataset, is_wanted: &dyn Fn(&str) -> 
         }
         add("method-mcmc", "method", vec!["train.method=mcmc".to_owned()]);
     }
-    let longest = dataset.train.iter().map(|view| view.camera.width.max(view.camera.height)).max().unwrap_or(0);
+    let longest = dataset.longest_side();
     if longest > 1 {
         add("resolution-half", "resolution", vec![format!("data.max_resolution={}", longest / 2)]);
     }

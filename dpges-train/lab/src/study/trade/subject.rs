@@ -1,47 +1,44 @@
-//! The subject that all rows of a trade share.
+//! The study of a trade, and the subject that all of its rows share.
 
 use std::path::Path;
 
-use serde_json::{Map, Value, json};
+use dpges_core::scene::atomic::make_folder;
+use dpges_train::dataset::Split;
+use dpges_train::eval::pictures::{photograph, save_png};
+use serde_json::json;
 
 use super::super::Result;
-use super::super::store::checksum;
-use super::bench::Bench;
+use super::super::store::{Figure, Study, checksum};
+use super::SHAPE;
+use super::bench::{Bench, PICTURES};
 
-/// The scene, the views and the device of a trade.
-#[derive(Clone, Copy, Debug)]
-pub struct Subject<'a> {
-    /// The scene file.
-    pub scene: &'a Path,
-    /// As runs name it.
-    pub dataset: &'a str,
-    /// `test`, `train` or `validation`
-    pub split: &'a str,
-    /// Width and height of the frames whose time is measured, px.
-    pub frame_size: [usize; 2],
-    /// Name of the adapter, or of the device.
-    pub device: &'a str,
-}
-
-impl Subject<'_> {
-    /// As the JSON of the study has it, with the views of `bench`.
-    ///
-    /// # Errors
-    /// If the scene cannot be read.
-    pub fn of(&self, bench: &Bench) -> Result<Map<String, Value>> {
-        let path = std::path::absolute(self.scene)?;
-        let first = &bench.views[0].camera;
-        let subject = json!({
-            "scene": path.display().to_string(),
-            "scene_checksum": checksum(&std::fs::read(&path)?),
-            "dataset": self.dataset,
-            "split": self.split,
-            "views": bench.views.iter().map(|view| &view.name).collect::<Vec<_>>(),
-            "view_size": [first.width, first.height],
-            "frame_size": self.frame_size,
-            "rounds": bench.rounds,
-            "device": self.device,
-        });
-        Ok(subject.as_object().cloned().unwrap_or_default())
-    }
+/// The study in the folder of `bench` of the file `scene`, with the first photograph. `dataset` is named as runs name it, and
+/// `device` is the name of the adapter or device that draws.
+///
+/// # Errors
+/// Those of [`Study::open`]; if the scene or the photograph cannot be read, or the picture not be written.
+pub fn study(bench: &Bench, scene: &Path, dataset: &str, split: Split, device: &str) -> Result<Study> {
+    let path = std::path::absolute(scene)?;
+    let first = &bench.views[0].camera;
+    let frame = (bench.sized)(first);
+    let subject = json!({
+        "scene": path.display().to_string(),
+        "scene_checksum": checksum(&std::fs::read(&path)?),
+        "dataset": dataset,
+        "split": split.to_string(),
+        "views": bench.views.iter().map(|view| &view.name).collect::<Vec<_>>(),
+        "view_size": [first.width, first.height],
+        "frame_size": [frame.width, frame.height],
+        "rounds": bench.rounds,
+        "device": device,
+    });
+    let drawn_on = format!("Drawn on {device}.");
+    tracing::info!("{drawn_on}");
+    make_folder(&bench.folder.join(PICTURES))?;
+    let mut study = Study::open(&SHAPE, bench.folder, subject.as_object().cloned().unwrap_or_default())?;
+    study.content.notes.push(drawn_on);
+    let file = format!("{PICTURES}/photograph.png");
+    save_png(&photograph(&*bench.views[0].picture()?), &bench.folder.join(&file))?;
+    study.content.figures.push(Figure { file, caption: "photograph".to_owned() });
+    Ok(study)
 }

@@ -20,7 +20,7 @@ fn exposures_are_found_and_compensated() {
         let renderer = TrainingRenderer::new(&scene, &device());
         let measures = Measures { fitted: true, ..Measures::BASIC };
         let evaluation: dpges_core::Result<Evaluation> =
-            evaluate_each(&renderer, &scene, &changed.test, &device(), measures, |_, _| Ok(()));
+            evaluate_each(&renderer, &scene, &changed.test, measures, |_, _| Ok(()));
         (evaluation.unwrap().fitted.psnr_fitted.unwrap(), trainer.view_corrections().exposure)
     };
     let (with, found) = learnt("train.exposure=auto");
