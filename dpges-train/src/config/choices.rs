@@ -137,8 +137,8 @@ choices! {
     /// Colour behind all surfels and Gaussians, in the direction of a pixel.
     Environment {
         /// Spherical harmonics of degree 3 if more than 5 % of the training pixels are open sky: above the horizon, with
-        /// no point of the dataset from there up to the border of the picture. The background alone otherwise, and if
-        /// `data.background` is set or pictures have alpha.
+        /// no point of the dataset from there up to the border of the picture; or if there are no points. The background
+        /// alone otherwise, and if `data.background` is set or pictures have alpha.
         "auto" => Auto,
         /// The background alone.
         "none" => None,

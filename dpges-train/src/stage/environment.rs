@@ -83,6 +83,13 @@ impl Context {
         let degree = match wanted.degree() {
             Some(degree) => degree,
             None if sky.share > SKY => DEGREE,
+            None if dataset.points.positions.is_empty() => {
+                tracing::info!(
+                    "the dataset has no points, so that nothing says how far what it shows is: an environment of degree \
+                     {DEGREE} for what is far away (model.environment)"
+                );
+                return Ok(Some(self.neutral(DEGREE, sky.colour)));
+            }
             None => {
                 tracing::info!(
                     "{percent:.1} % of the pixels are open sky, above all points of the dataset: no environment, which \
@@ -96,9 +103,14 @@ impl Context {
             "{percent:.1} % of the pixels are open sky, above all points of the dataset: an environment of degree {degree} \
              (model.environment)"
         );
-        let mut start = EnvironmentData::neutral(degree);
-        self.add(&mut start, sky.colour.unwrap_or(dataset.background));
-        Ok(Some(start))
+        Ok(Some(self.neutral(degree, sky.colour)))
+    }
+
+    /// Of one `colour`, or of that of the background.
+    fn neutral(&self, degree: usize, colour: Option<[f64; 3]>) -> EnvironmentData {
+        let mut environment = EnvironmentData::neutral(degree);
+        self.add(&mut environment, colour.unwrap_or(self.dataset.background));
+        environment
     }
 }
 
@@ -135,7 +147,8 @@ mod tests {
         }
         assert!(sky.coefficients[3..].iter().all(|&k| k == 0.0));
         assert_eq!(start(indoors(), &[]), None);
-        assert_eq!(start(ring(0.0, Vec::new()), &[]), None);
+        let without_points = start(ring(0.0, Vec::new()), &[]);
+        assert_eq!(without_points, Some(EnvironmentData::neutral(DEGREE)), "nothing says how far anything is");
     }
 
     #[test]
