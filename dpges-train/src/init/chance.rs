@@ -37,7 +37,9 @@ pub fn looks_random(points: &PointCloud, views: &[&View], rng: &mut ChaCha8Rng) 
     let rows: Vec<usize> = (0..points.positions.len()).collect();
     let rows: Vec<usize> = rows.sample(rng, COMPARED).copied().collect();
     let places = rows.iter().map(|&row| DVec3::from_array(points.positions[row].map(f64::from))).collect::<Vec<_>>();
-    let elsewhere = |_: &usize| region.low + region.size() * DVec3::from_array([0; 3].map(|_| rng.random()));
+    // a cube, since views agree about all places in the box of a flat scene
+    let around = Region::cube((region.low + region.high) / 2.0, region.size().max_element() / 2.0);
+    let elsewhere = |_: &usize| around.low + around.size() * DVec3::from_array([0; 3].map(|_| rng.random()));
     let elsewhere: Vec<DVec3> = rows.iter().map(elsewhere).collect();
     let seen = seen_colours(&[places, elsewhere].concat(), views)?;
     let (seen, seen_elsewhere) = seen.split_at(rows.len());
