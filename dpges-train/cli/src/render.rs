@@ -169,7 +169,7 @@ impl RenderArgs {
         Err(Failure::Usage(message.to_owned()))
     }
 
-    /// What is asked for besides pictures.
+    /// The outputs besides pictures that are asked for.
     fn wanted(&self) -> Wanted {
         let alpha = self.views.choice().reading.background == Some(Background::Transparent);
         Wanted { alpha, depth: self.depth, layers: self.layers }

@@ -56,7 +56,7 @@ pub fn looks_random(points: &PointCloud, views: &[&View], rng: &mut ChaCha8Rng) 
         && seen.iter().filter(|seen| seen.len() >= LEAST_VIEWS).count() >= LEAST_COMPARED)
 }
 
-/// What the opaque pixels of a sample of the views show at each of `places`.
+/// The colours of the opaque pixels that show each of `places`, in a sample of the views.
 fn seen_colours(places: &[DVec3], views: &[&View]) -> Result<Vec<Vec<[f32; 3]>>> {
     let mut seen = vec![Vec::new(); places.len()];
     for view in sampled(views.len()).map(|number| views[number]) {

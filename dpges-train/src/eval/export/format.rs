@@ -161,7 +161,7 @@ const fn filter_text(filter: ScreenFilter) -> &'static str {
     }
 }
 
-/// What splats show of their scene, and as which programs.
+/// The part of their scene that splats show, and the programs that show it so.
 pub fn splat_rows(
     scene: &SceneData,
     cloud: &SplatCloud,

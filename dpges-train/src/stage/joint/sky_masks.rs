@@ -30,7 +30,7 @@ impl SkyMasks {
     }
 }
 
-/// What surfels and Gaussians hide of the environment where the view shows nothing but sky.
+/// Adds the share of the environment that surfels and Gaussians hide where the view shows nothing but sky.
 pub fn sky(view: &RenderedView<'_>, losses: &mut Losses) -> dpges_core::Result<()> {
     let Some(SkyMasks(skies)) = &view.stage.sky else { return Ok(()) };
     let picture = view.input.view.picture()?;
