@@ -5,20 +5,12 @@
 //
 //     gcc -shared -fPIC -O2 -o libworkgroups.so workgroups.c    # headers: Debian's libvulkan-dev
 //
-// One device a process: functions of the driver are kept once. tests/drivers.py writes the manifest and compares scenes.
+// tests/drivers.py writes the manifest and compares scenes.
 
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <vulkan/vk_layer.h>
-#include <vulkan/vulkan.h>
+#include "layer.h"
 
 #define MOST_PIECES 32
-#define EXPORT __attribute__((visibility("default")))
 
-static PFN_vkGetInstanceProcAddr next_instance_proc;
-static PFN_vkGetDeviceProcAddr next_device_proc;
 static PFN_vkCreateComputePipelines create_pipelines;
 static PFN_vkCmdDispatchBase dispatch_base;
 static uint64_t seed, state;
@@ -53,74 +45,39 @@ static VKAPI_ATTR void VKAPI_CALL cmd_dispatch(VkCommandBuffer commands, uint32_
     }
 }
 
-static VKAPI_ATTR VkResult VKAPI_CALL create_compute_pipelines(VkDevice device, VkPipelineCache cache, uint32_t n,
+static VKAPI_ATTR VkResult VKAPI_CALL create_compute_pipelines(VkDevice of, VkPipelineCache cache, uint32_t n,
                                                                const VkComputePipelineCreateInfo *given,
                                                                const VkAllocationCallbacks *allocator, VkPipeline *made) {
     VkComputePipelineCreateInfo *infos = malloc(n * sizeof *infos);
     if (infos == NULL) return VK_ERROR_OUT_OF_HOST_MEMORY;
     memcpy(infos, given, n * sizeof *infos);
     for (uint32_t i = 0; i < n; i++) infos[i].flags |= VK_PIPELINE_CREATE_DISPATCH_BASE_BIT;
-    VkResult result = create_pipelines(device, cache, n, infos, allocator, made);
+    VkResult result = create_pipelines(of, cache, n, infos, allocator, made);
     free(infos);
     return result;
 }
 
-static VKAPI_ATTR VkResult VKAPI_CALL create_instance(const VkInstanceCreateInfo *info, const VkAllocationCallbacks *allocator,
-                                                      VkInstance *instance) {
-    VkLayerInstanceCreateInfo *link = (VkLayerInstanceCreateInfo *)info->pNext;
-    while (link && !(link->sType == VK_STRUCTURE_TYPE_LOADER_INSTANCE_CREATE_INFO && link->function == VK_LAYER_LINK_INFO))
-        link = (VkLayerInstanceCreateInfo *)link->pNext;
-    if (link == NULL) return VK_ERROR_INITIALIZATION_FAILED;
-    next_instance_proc = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
-    link->u.pLayerInfo = link->u.pLayerInfo->pNext;
-    return ((PFN_vkCreateInstance)next_instance_proc(NULL, "vkCreateInstance"))(info, allocator, instance);
-}
-
-static VKAPI_ATTR VkResult VKAPI_CALL create_device(VkPhysicalDevice gpu, const VkDeviceCreateInfo *info,
-                                                    const VkAllocationCallbacks *allocator, VkDevice *device) {
-    VkLayerDeviceCreateInfo *link = (VkLayerDeviceCreateInfo *)info->pNext;
-    while (link && !(link->sType == VK_STRUCTURE_TYPE_LOADER_DEVICE_CREATE_INFO && link->function == VK_LAYER_LINK_INFO))
-        link = (VkLayerDeviceCreateInfo *)link->pNext;
-    if (link == NULL) return VK_ERROR_INITIALIZATION_FAILED;
-    PFN_vkGetInstanceProcAddr instance_proc = link->u.pLayerInfo->pfnNextGetInstanceProcAddr;
-    next_device_proc = link->u.pLayerInfo->pfnNextGetDeviceProcAddr;
-    link->u.pLayerInfo = link->u.pLayerInfo->pNext;
-    VkResult result = ((PFN_vkCreateDevice)instance_proc(NULL, "vkCreateDevice"))(gpu, info, allocator, device);
-    if (result != VK_SUCCESS) return result;
-    create_pipelines = (PFN_vkCreateComputePipelines)next_device_proc(*device, "vkCreateComputePipelines");
-    dispatch_base = (PFN_vkCmdDispatchBase)next_device_proc(*device, "vkCmdDispatchBase");
-    return create_pipelines && dispatch_base ? result : VK_ERROR_INITIALIZATION_FAILED;
-}
-
-static VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL device_proc(VkDevice device, const char *name);
-
-static PFN_vkVoidFunction own(const char *name) {
-    if (!strcmp(name, "vkCreateInstance")) return (PFN_vkVoidFunction)create_instance;
-    if (!strcmp(name, "vkCreateDevice")) return (PFN_vkVoidFunction)create_device;
-    if (!strcmp(name, "vkGetDeviceProcAddr")) return (PFN_vkVoidFunction)device_proc;
-    if (!strcmp(name, "vkCmdDispatch")) return (PFN_vkVoidFunction)cmd_dispatch;
-    if (!strcmp(name, "vkCreateComputePipelines")) return (PFN_vkVoidFunction)create_compute_pipelines;
-    return NULL;
-}
-
-static VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL device_proc(VkDevice device, const char *name) {
-    PFN_vkVoidFunction found = own(name);
-    return found ? found : next_device_proc(device, name);
-}
-
-static VKAPI_ATTR PFN_vkVoidFunction VKAPI_CALL instance_proc(VkInstance instance, const char *name) {
-    PFN_vkVoidFunction found = own(name);
-    return found ? found : next_instance_proc ? next_instance_proc(instance, name) : NULL;
-}
-
-EXPORT VKAPI_ATTR VkResult VKAPI_CALL vkNegotiateLoaderLayerInterfaceVersion(VkNegotiateLayerInterface *interface) {
+static void layer_loaded(void) {
     const char *given = getenv("DPGES_WORKGROUPS");
     state = seed = given ? strtoull(given, NULL, 10) : 0;
-    interface->loaderLayerInterfaceVersion = 2;
-    interface->pfnGetInstanceProcAddr = instance_proc;
-    interface->pfnGetDeviceProcAddr = device_proc;
-    interface->pfnGetPhysicalDeviceProcAddr = NULL;
+}
+
+static VkResult instance_created(VkInstance instance) {
+    (void)instance;
     return VK_SUCCESS;
+}
+
+static VkResult device_created(const VkDeviceCreateInfo *info) {
+    (void)info;
+    create_pipelines = NEXT(vkCreateComputePipelines);
+    dispatch_base = NEXT(vkCmdDispatchBase);
+    return create_pipelines && dispatch_base ? VK_SUCCESS : VK_ERROR_INITIALIZATION_FAILED;
+}
+
+static PFN_vkVoidFunction taken(const char *name) {
+    TAKE(name, vkCmdDispatch, cmd_dispatch);
+    TAKE(name, vkCreateComputePipelines, create_compute_pipelines);
+    return NULL;
 }
 
 __attribute__((destructor)) static void report(void) {
