@@ -4,6 +4,7 @@
     cargo build --release && cargo test --release --workspace --no-run
     python3 tests/drivers.py target/release/dpges [--only SwiftShader] [--only "validation: core"] [--json drivers.json]
     dpges-render/web/tests/browser.py --keep page && python3 tests/drivers.py target/release/dpges --page page   # with browsers
+    python3 tests/drivers.py target/release/dpges --compile-only mesa25/libvulkan_radeon.so                      # for cards of AMD
 
 A driver is a row: Mesa's lavapipe with subgroups of 4, 8 and 16, Chromium's SwiftShader, every Vulkan driver of a GPU,
 OpenGL, and Chromium's WebGPU and WebGL2 if there is a page. Columns: the selftest (worst error as a share of its tolerance,
@@ -12,7 +13,12 @@ cases and parity, PSNR of a training of 50 steps, and the worst golden picture o
 worst picture against the native one). Validation by Khronos's layers is a row of its own where they are installed: the number
 of their messages in a selftest, a training and a rendered path. The last table tells whether trainings on lavapipe depend on
 the order of workgroups, which a layer of our own shuffles (workgroups.c). Ends with 1 if a cell failed, or if there is nothing
-to run. Needs Python 3.9; the layer needs gcc and Vulkan's headers (Debian's libvulkan-dev).
+to run. Needs Python 3.9; layers need gcc and Vulkan's headers (Debian's libvulkan-dev).
+
+With --compile-only another layer (compiled.c) has Mesa's AMD driver compile what a training and a rendered path run on lavapipe,
+for cards that need not be there: shaders and which of them spill registers, which fails, the lowest occupancy (subgroups that a
+SIMD holds at once), and the ten with the largest latency x launches. Draws count as launches. It runs nothing else. Mesa 25 does
+it, 22.3 crashes for gfx11; `dpkg -x` unpacks `mesa-vulkan-drivers` of a newer Debian without installing it.
 """
 
 import argparse
@@ -49,6 +55,12 @@ THREADS = [0, 1, 2, 7]
 SHUFFLES = [0, 1, 2]
 ORDER = "order of workgroups"
 SHUFFLE_LAYER = Path(__file__).with_name("workgroups.c")
+COMPILE_LAYER = Path(__file__).with_name("compiled.c")
+# a card of each kind by its name in Mesa
+CARDS = {"gfx9": "vega10", "gfx10.3": "navi21", "gfx11": "navi31"}
+OCCUPANCY = "Subgroups per SIMD"
+SPILLS = ["Spilled SGPRs", "Spilled VGPRs", "Scratch size"]
+MOST_EXPENSIVE = 10
 SMALL = ["--steps", "50", "--max-resolution", "64", "--budget", "2000"]
 
 
@@ -102,6 +114,11 @@ class Kit:
         except OSError as error:
             return 127, str(error)
         return done.returncode, done.stdout
+
+    def training_and_path(self, run):
+        train = [self.dpges, "train", "--out", run, "--device", "wgpu", *SMALL]
+        path = ["--renderer", "raster", "--path", "orbit", "--frames", "3", "--size", "320x180", "--out", f"{run}-path"]
+        return {"training": train, "path": [self.dpges, "render", run, *path]}
 
     def test(self, name):
         """The newest binary of a test target."""
@@ -195,12 +212,7 @@ def validation(kit, wanted):
             icds[0], VK_INSTANCE_LAYERS="VK_LAYER_KHRONOS_validation", VK_LAYER_ENABLES=feature, VK_LOADER_LAYERS_ENABLE="*validation",
             VK_LOADER_DEBUG="layer",
         )
-        commands = {
-            "selftest": [kit.dpges, "selftest", "--device", "wgpu"],
-            "training": [kit.dpges, "train", "--out", run, "--device", "wgpu", *SMALL],
-            "path": [kit.dpges, "render", run, "--renderer", "raster", "--path", "orbit", "--frames", "3", "--size", "320x180"]
-            + ["--out", f"{kit.folder}/path-{kind}"],
-        }
+        commands = {"selftest": [kit.dpges, "selftest", "--device", "wgpu"], **kit.training_and_path(run)}
         for name, command in commands.items():
             code, output = kit.run(command, environment)
             if not re.search(r'Insert instance layer "?VK_LAYER_KHRONOS_validation', output):
@@ -210,21 +222,26 @@ def validation(kit, wanted):
             yield kind, name, code, sorted(set(messages)), output
 
 
+def layer(kit, source, description):
+    """Environment in which a layer of ours is loaded; None if it cannot be built."""
+    library = f"{kit.folder}/lib{source.stem}.so"
+    code, output = kit.run(["gcc", "-shared", "-fPIC", "-O2", "-o", library, source, "-ldl"], {})
+    if code != 0:
+        print(f"the layer {source.name} was not built: {output.strip()[:200]}", file=sys.stderr)
+        return None
+    described = {
+        "name": f"VK_LAYER_DPGES_{source.stem}", "type": "INSTANCE", "library_path": library, "api_version": "1.3.0",
+        "implementation_version": "1", "description": description,
+    }
+    manifest = Path(kit.folder, f"{source.stem}.json")
+    manifest.write_text(json.dumps({"file_format_version": "1.1.0", "layer": described}))
+    return {"VK_LAYER_PATH": kit.folder, "VK_INSTANCE_LAYERS": described["name"]}
+
+
 def shuffles(kit):
     """Environments in which every dispatch is cut into pieces that run in another order; None for each if the layer cannot be built."""
-    library = f"{kit.folder}/libworkgroups.so"
-    code, output = kit.run(["gcc", "-shared", "-fPIC", "-O2", "-o", library, SHUFFLE_LAYER], {})
-    if code != 0:
-        print(f"the layer that shuffles workgroups was not built: {output.strip()[:200]}", file=sys.stderr)
-        return {f"shuffle {seed}": None for seed in SHUFFLES}
-    layer = {
-        "name": "VK_LAYER_DPGES_workgroups", "type": "INSTANCE", "library_path": library, "api_version": "1.3.0",
-        "implementation_version": "1", "description": "Dispatches run in pieces, in another order.",
-    }
-    manifest = Path(kit.folder, "workgroups.json")
-    manifest.write_text(json.dumps({"file_format_version": "1.1.0", "layer": layer}))
-    loaded = {"VK_LAYER_PATH": kit.folder, "VK_INSTANCE_LAYERS": layer["name"]}
-    return {f"shuffle {seed}": {**loaded, "DPGES_WORKGROUPS": str(seed)} for seed in SHUFFLES}
+    loaded = layer(kit, SHUFFLE_LAYER, "Dispatches run in pieces, in another order.")
+    return {f"shuffle {seed}": loaded and {**loaded, "DPGES_WORKGROUPS": str(seed)} for seed in SHUFFLES}
 
 
 def orders(kit, wanted):
@@ -253,6 +270,62 @@ def orders(kit, wanted):
             yield method, order, digest if "shuffle" not in order or cut > 0 else None, cut
 
 
+def compiled(kit, driver):
+    """Shaders of a training and of a rendered path as `driver` compiles them for cards: yields the card, what ran, the name and
+    version of the driver, and its shaders (compiled.c). Exits if there is nothing to run, or no card."""
+    icds = [icd for icd in installed() if LAVAPIPE in icd.name]
+    loaded = icds and layer(kit, COMPILE_LAYER, "Pipelines are compiled for a card of AMD, too.")
+    if not loaded:
+        sys.exit("--compile-only needs lavapipe to run on, and a layer of ours")
+    table, log = Path(kit.folder, "compiled.jsonl"), Path(kit.folder, "kernels.log")
+    # the last two are for names: of kernels, which are otherwise without their modules, and of the renderer's pipelines
+    more = {
+        "DPGES_COMPILED_DRIVER": driver, "DPGES_COMPILED_TABLE": str(table), "MESA_SHADER_CACHE_DISABLE": "true",
+        "CUBECL_DEBUG_LOG": str(log), "WGPU_DEBUG": "1",
+    }
+    for card, family in CARDS.items():
+        for name, command in kit.training_and_path(f"{kit.folder}/{family}").items():
+            for file in [table, log]:
+                file.unlink(missing_ok=True)
+            code, output = kit.run(command, vulkan(icds[0], RADV_FORCE_FAMILY=family, **loaded, **more))
+            if code != 0 or not table.is_file():
+                said = re.search(r"^compiled: .*", output, re.MULTILINE)
+                sys.exit(f"{name} for {card}: {said[0] if said else failed(code, output)[0]}")
+            logged = log.read_text() if log.is_file() else ""
+            kernels = re.findall(r"^name: ([\w:]+)::\w+.*?^@compute[^\n]*\nfn (\w+)", logged, re.DOTALL | re.MULTILINE)
+            modules = {kernel: path for path, kernel in kernels}
+            of_card, *shaders = map(json.loads, table.read_text().splitlines())
+            for shader in shaders:
+                path, of_pipeline = modules.get(shader["name"]), f"{shader['pipeline']}: {shader['name']}"
+                shader["name"] = path.split("::", 1)[-1].replace("::cube::", "::") if path else of_pipeline
+            yield card, name, f"{of_card['card']}, {of_card['driver']}", shaders
+
+
+def compile_only(kit, driver):
+    """Prints what the driver says of the shaders; returns whether none spills, and all of it."""
+    found, passed = [], True
+    print("| card | driver | what ran | shaders | that spill | lowest occupancy |\n|---|---|---|---:|---|---|")
+    for card, run, version, shaders in compiled(kit, driver):
+        found.append({"card": card, "driver": version, "of": run, "shaders": shaders})
+        spill = sorted({shader["name"] for shader in shaders if any(shader["statistics"][key] for key in SPILLS)})
+        passed &= not spill
+        least = min((shader for shader in shaders if shader["launches"]), key=lambda shader: shader["statistics"][OCCUPANCY])
+        cells = [card, version, run, len(shaders), f"**{', '.join(spill)}**" if spill else "none"]
+        print(f"| {' | '.join(map(str, cells))} | {least['statistics'][OCCUPANCY]} ({least['name']}) |", flush=True)
+    columns = ["workgroup", "VGPRs", "SGPRs", "spilled", "occupancy", "instructions", "latency", "launches", "groups each", "share"]
+    for table in found:
+        print(f"\n| {table['card']}, {table['of']} | {' | '.join(columns)} |\n|---|{'---:|' * len(columns)}")
+        waits = [(shader["launches"] * shader["statistics"]["Latency"], shader) for shader in table["shaders"]]
+        total = sum(wait for wait, _ in waits)
+        for wait, shader in sorted(waits, key=lambda pair: pair[0], reverse=True)[:MOST_EXPENSIVE]:
+            of, launches, computes = shader["statistics"], shader["launches"], any(shader["workgroup"])
+            cells = ["x".join(map(str, shader["workgroup"])) if computes else "–", of["VGPRs"], of["SGPRs"]]
+            cells += [sum(of[key] for key in SPILLS), of[OCCUPANCY], of["Instructions"], of["Latency"], launches]
+            cells += [f"{shader['workgroups'] / launches:.0f}" if computes else "–", f"{wait / total:.1%}"]
+            print(f"| {shader['name']} | {' | '.join(map(str, cells))} |")
+    return passed, found
+
+
 def line(name, version, cells):
     """Prints a row of the table; returns what is kept of it."""
     print(f"| {name}: {version} | " + " | ".join(text if ok else f"**{text}**" for text, ok in cells) + " |", flush=True)
@@ -264,18 +337,24 @@ def main():
     parser.add_argument("dpges", help="the program, built with `cargo build --release`")
     parser.add_argument("--only", action="append", help="drivers whose names contain this; `validation: core`, `order of workgroups: dpges, shuffle`")
     parser.add_argument("--page", help="a folder that browser.py left with --keep, for the rows of Chromium")
+    parser.add_argument("--compile-only", metavar="DRIVER", help="libvulkan_radeon.so of Mesa 25: what it compiles for cards of AMD")
     parser.add_argument("--json", help="where to write everything that was found")
     parser.add_argument("--limit", type=float, default=900, help="most seconds for a cell (default 900)")
     options = parser.parse_args()
     if options.page and not (Path(options.page) / "reference.json").is_file():
         parser.error(f"--page {options.page}: no reference.json there; make it with browser.py --keep {options.page}")
+    if options.compile_only and not Path(options.compile_only).is_file():
+        parser.error(f"--compile-only {options.compile_only}: no such file; give Mesa's libvulkan_radeon.so")
     passed, table = True, []
 
     def wanted(name):
-        return not options.only or any(only.lower() in name.lower() for only in options.only)
+        named = not options.only or any(only.lower() in name.lower() for only in options.only)
+        return named and not options.compile_only
 
     with tempfile.TemporaryDirectory() as folder:
         kit = Kit(options, folder)
+        if options.compile_only:
+            passed, table = compile_only(kit, str(Path(options.compile_only).resolve()))
         chosen = [row for row in rows() if wanted(row.name)]
         if chosen or options.page and any(map(wanted, BROWSERS.values())):
             print("| driver | selftest | extremes | kernels' tests | training | real-time renderer |")
