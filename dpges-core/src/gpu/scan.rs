@@ -69,17 +69,28 @@ pub fn scan_units(own: u32, memory: &mut [u32]) -> Scanned {
     Scanned { before, total }
 }
 
-/// The sum of the values of a unit, whose first is at `first`.
+/// The values of a unit, whose first is at `first`; 0 beyond `count`.
 #[cube]
-fn own_sum(values: &[u32], first: usize, count: u32) -> u32 {
-    let mut own = 0u32;
+fn own_values(values: &[u32], first: usize, count: u32) -> Array<u32> {
+    let mut own = Array::<u32>::new(PER_UNIT);
+    let last = max(count, 1u32) as usize - 1;
     #[unroll]
     for number in 0..PER_UNIT {
-        if first + number < count as usize {
-            own = plus(own, values[first + number]);
-        }
+        let at = first + number;
+        // at a place that is clamped, since loads behind a condition wait for one another
+        own[number] = select(at < count as usize, values[min(at, last)], 0u32);
     }
     own
+}
+
+#[cube]
+fn sum_of(own: &Array<u32>) -> u32 {
+    let mut sum = 0u32;
+    #[unroll]
+    for number in 0..PER_UNIT {
+        sum = plus(sum, own[number]);
+    }
+    sum
 }
 
 /// The sum of every block.
@@ -90,7 +101,7 @@ fn sums_kernel(values: &[u32], sums: &mut [u32], count: u32) {
     }
     let mut memory = Shared::<[u32]>::new_slice(SCAN);
     let first = CUBE_POS * BLOCK + UNIT_POS as usize * PER_UNIT;
-    let sum = scan_units(own_sum(values, first, count), &mut memory);
+    let sum = scan_units(sum_of(&own_values(values, first, count)), &mut memory);
     if UNIT_POS == 0u32 {
         sums[CUBE_POS] = sum.total;
     }
@@ -130,20 +141,19 @@ fn starts_kernel(values: &[u32], blocks: &[u32], starts: &mut [u32], count: u32,
         before = blocks[CUBE_POS];
     }
     let first = CUBE_POS * BLOCK + UNIT_POS as usize * PER_UNIT;
-    let mut sum = plus(before, scan_units(own_sum(values, first, count), &mut memory).before);
+    let own = own_values(values, first, count);
+    let mut sum = plus(before, scan_units(sum_of(&own), &mut memory).before);
     #[unroll]
     for number in 0..PER_UNIT {
         let at = first + number;
         if at <= count as usize {
             starts[at] = sum;
         }
-        if at < count as usize {
-            sum = plus(sum, values[at]);
-            // the end of the last unit of the last block has no place within the block
-            let last_of_unit = comptime!(number + 1 == PER_UNIT);
-            if last_of_unit && at + 1 == count as usize {
-                starts[at + 1] = sum;
-            }
+        sum = plus(sum, own[number]);
+        // the end of the last unit of the last block has no place within the block
+        let last_of_unit = comptime!(number + 1 == PER_UNIT);
+        if last_of_unit && at + 1 == count as usize {
+            starts[at + 1] = sum;
         }
     }
 }

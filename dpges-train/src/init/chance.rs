@@ -3,15 +3,18 @@
 //! Programs write random points where nothing was measured (3DGS for scenes of Blender), and clouds can lie in another frame
 //! than the cameras. Surfels at such points never leave: a start without points is better.
 
+use std::sync::Arc;
+
 use dpges_core::Result;
 use glam::DVec3;
-use rand::RngExt;
 use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use super::region::Region;
-use crate::dataset::{PointCloud, View, sampled};
+use crate::config::{Config, InitMethod};
+use crate::dataset::{Dataset, PointCloud, View, sampled};
 
 /// Points that are compared, at most.
 const COMPARED: usize = 1000;
@@ -22,13 +25,36 @@ const LEAST_VIEWS: usize = 3;
 /// Standard deviations of a fair coin beyond which comparisons are no chance.
 const SIGNIFICANT: f64 = 4.0;
 
+/// `dataset` without its points if they look random, which a warning then says. All that follows from points, such as where
+/// the sky is, would be wrong with them. `init.method = "sfm"` keeps them.
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+pub fn without_random_points(dataset: Arc<Dataset>, config: &Config) -> Result<Arc<Dataset>> {
+    let points = &dataset.points;
+    if config.init.method == InitMethod::Sfm || !points.seen_by.are_unknown() {
+        return Ok(dataset);
+    }
+    let views: Vec<&View> = dataset.train.iter().collect();
+    // a seed of its own: a run that goes on comes to the same verdict
+    if !looks_random(points, &views, &mut ChaCha8Rng::seed_from_u64(0))? {
+        return Ok(dataset);
+    }
+    tracing::warn!(
+        "{} points agree with the photographs no better than random ones would (random points, or a cloud in another frame \
+         than the cameras): they are left out; `--set init.method=sfm` keeps them",
+        points.positions.len()
+    );
+    Ok(Arc::new(Dataset { points: PointCloud::default(), ..(*dataset).clone() }))
+}
+
 /// Whether photographs say nothing for `points`: their colours are seen at their places no better than at those of other
 /// points, and views agree about what is there no better than about random places among them. `false` where the points are too
 /// few to tell, or all have one colour, which was then not measured.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
-pub fn looks_random(points: &PointCloud, views: &[&View], rng: &mut ChaCha8Rng) -> Result<bool> {
+fn looks_random(points: &PointCloud, views: &[&View], rng: &mut ChaCha8Rng) -> Result<bool> {
     let Some(region) = Region::around(&points.positions) else { return Ok(false) };
     let of_one_colour = points.colours.iter().all(|colour| *colour == points.colours[0]);
     if of_one_colour || views.len() < LEAST_VIEWS {
@@ -107,8 +133,6 @@ fn is_better_than_chance(pairs: &[(f32, f32)]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use rand::SeedableRng;
-
     use super::super::plane_sweep::tests::{mosaic, photos};
     use super::*;
 

@@ -19,7 +19,6 @@ pub mod sky_detection;
 use dpges_core::camera::Camera;
 use dpges_core::scene::{GaussianData, SurfelData};
 use glam::DVec3;
-use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::{Config, InitMethod};
@@ -87,8 +86,8 @@ pub enum InitError {
 }
 
 /// The initial scene of a dataset, within the limits of `quota`, of primitives as large and opaque as `start` says.
-/// `init.method` "auto" starts from points if the dataset has some that are not random, else from silhouettes, else where views
-/// agree about colours, else from random Gaussians.
+/// `init.method` "auto" starts from points if the dataset has some, else from silhouettes, else where views agree about colours,
+/// else from random Gaussians.
 ///
 /// # Errors
 /// [`InitError`] if there are no training views or the dataset lacks what the method needs.
@@ -106,8 +105,7 @@ pub fn initialise(
     if config.init.method != InitMethod::Auto {
         return init.by(config.init.method, rng);
     }
-    let measured = if init.points_look_random()? { None } else { Some(InitMethod::Sfm) };
-    for method in measured.into_iter().chain([InitMethod::Silhouette, InitMethod::PlaneSweep]) {
+    for method in [InitMethod::Sfm, InitMethod::Silhouette, InitMethod::PlaneSweep] {
         match init.by(method, rng) {
             Err(InitError::NoPoints | InitError::NoSilhouettes) => {}
             Err(reason @ (InitError::EmptyHull | InitError::NoAgreement)) => tracing::warn!("{reason}"),
@@ -159,26 +157,6 @@ impl Init<'_> {
             points.append(&more);
         }
         Ok(self.place(points, &centres(&self.dataset.train), rng))
-    }
-
-    /// Says so, too.
-    fn points_look_random(&self) -> Result<bool, InitError> {
-        let points = &self.dataset.points;
-        if !points.seen_by.are_unknown() {
-            return Ok(false);
-        }
-        // of its own, so that the draws of a start from points do not depend on this look at them
-        let mut rng = ChaCha8Rng::seed_from_u64(0);
-        let views: Vec<&View> = self.dataset.train.iter().collect();
-        let look_random = chance::looks_random(points, &views, &mut rng)?;
-        if look_random {
-            tracing::warn!(
-                "{} points agree with the photographs no better than random ones would (random points, or a cloud in another \
-                 frame than the cameras): started without them; `--set init.method=sfm` starts from them",
-                points.positions.len()
-            );
-        }
-        Ok(look_random)
     }
 
     fn by_silhouettes(&self, rng: &mut ChaCha8Rng) -> Result<InitialScene, InitError> {
@@ -260,6 +238,8 @@ fn in_sight(dataset: &Dataset) -> Region {
 
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng;
+
     use super::*;
     use crate::dataset::{BuiltinOptions, Picture, Tracks, builtin};
 

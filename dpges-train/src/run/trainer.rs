@@ -18,6 +18,7 @@ use super::validation::Validation;
 use crate::config::{Config, StagePlan};
 use crate::dataset::{Dataset, View};
 use crate::device::place::Place;
+use crate::init::chance::without_random_points;
 use crate::optimizer::Parameter;
 use crate::stage::{
     self, Context, Parameters, PendingStep, Settled, Stage, StageCheckpoint, StepReport, Surroundings, TrainError,
@@ -50,6 +51,7 @@ impl Trainer {
     pub fn new(config: Config, dataset: Arc<Dataset>, place: impl Into<Place>) -> Result<Self, TrainError> {
         let plan = config.plan(dataset.longest_side());
         let place = place.into();
+        let dataset = without_random_points(dataset, &config)?;
         let surroundings = Surroundings::read(&config, &dataset, &place)?;
         let mut context = Context { surroundings, ..Context::new(config, dataset, place) };
         context.check_plan(&plan)?;
@@ -102,6 +104,7 @@ impl Trainer {
         let exposure = exposures::from_rows(&mut attributes, dataset.train.len(), &place.device);
         let exposure = exposure.map_err(TrainError::resume)?;
         let poses = PoseState::from_rows(&mut attributes, &mut columns, &dataset).map_err(TrainError::resume)?;
+        let dataset = without_random_points(dataset, &config)?;
         let surroundings = Surroundings::read(&config, &dataset, &place)?;
         let context = Context { metres_per_unit: info.metres_per_unit, ..Context::new(config, dataset, place) };
         let mut context = Context { rng, remaining_views, completed_steps, exposure, poses, surroundings, ..context };

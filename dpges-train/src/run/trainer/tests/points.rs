@@ -2,9 +2,12 @@
 
 use std::sync::Arc;
 
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
 use super::goes_on_alike;
-use crate::dataset::builtin;
 use crate::dataset::neighbours::{as_points, nearest_to};
+use crate::dataset::{Dataset, Tracks, builtin};
 use crate::run::Trainer;
 use crate::run::fixtures::{config, device, options, trained};
 
@@ -53,4 +56,25 @@ fn surfels_without_points_are_refused_by_name() {
     let data = Arc::new(builtin(&options(24, [3, 1], 0)));
     let error = Trainer::check(&config(&["train.lambda_points=1"]), &data, &device()).unwrap_err().to_string();
     assert!(error.contains("train.lambda_points") && error.contains("data.points"), "{error}");
+}
+
+#[test]
+fn random_points_are_left_out_of_all_that_follows() {
+    let mut data = builtin(&options(32, [12, 1], 400));
+    data.points.seen_by = Tracks::default();
+    let points_of = |set: &[&str], data: &Dataset| {
+        let trainer = Trainer::new(config(set), Arc::new(data.clone()), device()).unwrap();
+        (trainer.dataset().points.positions.len(), trainer.scene().environment.is_some())
+    };
+    let set = ["train.steps=4", "refine.budget=300"];
+    assert_eq!(points_of(&set, &data).0, 400, "measured ones");
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    for position in &mut data.points.positions {
+        *position = [0; 3].map(|_| rng.random_range(-1.3..1.3));
+    }
+    data.points.colours.rotate_left(57);
+    assert_eq!(points_of(&set, &data), (0, true), "and nothing says how far anything is");
+    assert_eq!(points_of(&["init.method=sfm", set[0], set[1]], &data).0, 400, "asked for");
+    let (data, begin) = (Arc::new(data), config(&set));
+    goes_on_alike(|| Trainer::new(begin.clone(), data.clone(), device()).unwrap(), &data, &[2]);
 }
