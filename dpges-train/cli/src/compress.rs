@@ -51,14 +51,6 @@ pub struct CompressArgs {
 }
 
 pub fn run(args: &CompressArgs) -> Result<()> {
-    let ending = args.out.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    if ["ply", "spz", "sog", "glb", "gltf", "usda", "usdz"].contains(&&*ending) {
-        let message = format!(
-            "--out {} says .{ending}: a scene file is written; `dpges export` writes splats",
-            args.out.display()
-        );
-        return Err(Failure::Usage(message));
-    }
     let (mut scene, _held) = open_to_write(&args.scene, Some(&args.out), args.json.as_deref())?;
     match args.measured(&mut scene) {
         Ok((source, split, views)) => {

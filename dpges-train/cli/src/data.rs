@@ -7,6 +7,7 @@ use dpges_train::config::{Background, Upwards, key};
 use dpges_train::dataset::MaxResolution;
 pub use dpges_train::dataset::Split;
 pub use dpges_train::dataset::source::Source;
+use dpges_train::eval::export::format::check_scene_file;
 use dpges_train::run::folder::hold_file;
 use dpges_train::run::hold::Hold;
 pub use dpges_train::run::scene::{Reading, Scene, every_nth, in_scene};
@@ -80,11 +81,9 @@ impl ViewArgs {
 
 /// The scene of a command that writes another, `out`, and a `report`: both are held before the work begins.
 pub fn open_to_write(path: &Path, out: Option<&Path>, report: Option<&Path>) -> Result<(Scene, [Option<Hold>; 2])> {
+    out.map(check_scene_file).transpose().map_err(Failure::Usage)?;
     let held = [out.map(hold_file).transpose()?.flatten(), hold_report(report)?];
     let scene = Scene::load(path)?;
-    let [a, b] = [out, Some(&*scene.path)].map(|path| path.and_then(|path| path.canonicalize().ok()));
-    if a.is_some() && a == b {
-        return Err(Failure::Usage(format!("--out is the scene itself, {}: name another file", scene.path.display())));
-    }
+    out.map(|out| scene.check_is_not(out)).transpose().map_err(Failure::Usage)?;
     Ok((scene, held))
 }

@@ -88,6 +88,7 @@ pub fn run(args: &ExportArgs) -> Result<()> {
         _ => hold_file(&args.out)?,
     };
     let mut scene = Scene::load(&args.scene)?;
+    scene.check_is_not(&args.out).map_err(Failure::Usage)?;
     scene.use_pinholes();
     if !matches!(args.format, ExportFormat::MeshPly | ExportFormat::MeshGlb) {
         scene.warn_of_order("what shows this file sorts");

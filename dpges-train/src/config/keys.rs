@@ -79,8 +79,8 @@ configuration! {
         lambda_transmittance: f64 = 0.0, range: 0.0..,
             ablation: "no-transmittance-loss" = "0" ("Without the transmittance loss"),
             ablation: "transmittance-loss" = "0.08" ("With the transmittance loss");
-        /// Weight of the mean opacity of Gaussians in the joint stage of scenes with an environment (3DGS-MCMC: 0.01,
-        /// DP-GES: 0). It makes those fade that few pictures need, of which there are many outdoors.
+        /// Weight of the mean opacity of Gaussians in the joint stage of scenes whose background is not given (3DGS-MCMC: 0.01,
+        /// DP-GES: 0). It makes those fade that few pictures need.
         lambda_opacity: f64 = 3e-3, range: 0.0..,
             ablation: "no-opacity-loss" = "0" ("Let Gaussians stay that few pictures need");
         /// Weight of the mean scale of these Gaussians, relative to the extent of the scene (DP-GES: 0; 3DGS-MCMC: 0.01 per

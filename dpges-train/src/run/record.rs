@@ -8,7 +8,6 @@ use dpges_core::scene::SceneData;
 use dpges_core::scene::atomic::write_atomically;
 
 use super::StepReport;
-use super::checkpoint::Checkpoint;
 use super::folder::{Origin, RunFolder, RunFolderError, failed, write_json};
 use super::metrics_log::MetricsLog;
 use crate::config::Config;
@@ -39,17 +38,17 @@ impl Record {
         Ok(Self { folder, origin, metrics, peak, reported: 0 })
     }
 
-    /// The record of a run that goes on where `checkpoint` was made, and the seconds that it had taken by then; `peak` began
-    /// where it goes on.
+    /// The record of a run that goes on after `completed` steps, of a stage that may be over, and the seconds that it had taken by
+    /// then; `peak` began where it goes on.
     pub fn resume(
         folder: RunFolder,
         origin: Origin,
-        checkpoint: &Checkpoint,
+        completed: usize,
+        stage_is_over: bool,
         peak: PeakMemory,
     ) -> Result<(Self, f64), RunFolderError> {
         let folder = folder.held()?;
-        let completed = checkpoint.completed_steps();
-        let (metrics, seconds) = MetricsLog::resume(&folder.metrics(), completed, checkpoint.stage_is_over())?;
+        let (metrics, seconds) = MetricsLog::resume(&folder.metrics(), completed, stage_is_over)?;
         Ok((Self { folder, origin, metrics, peak, reported: completed }, seconds))
     }
 

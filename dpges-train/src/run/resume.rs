@@ -112,22 +112,24 @@ impl Run {
         if moved {
             check_moved(&checkpoint.state.info, &data)?;
         }
-        let (record, seconds_before) = if place.ranks.is_first() {
+        let (completed, stage_is_over) = (checkpoint.completed_steps(), checkpoint.stage_is_over());
+        let trainer = Trainer::resume(checkpoint, data, place)?;
+        // only now, since what is refused changes nothing
+        let (record, seconds_before) = if trainer.ranks().is_first() {
             if moved {
                 write_json(&folder.origin(), &origin)?;
             }
             if lengthened {
                 // the scene that they measured is no longer the result
                 [folder.evaluation(), folder.validation()].iter().try_for_each(|file| remove(file))?;
-                folder.write_config(checkpoint.config())?;
+                folder.write_config(trainer.config())?;
             }
-            let (record, seconds) = Record::resume(folder.clone(), origin, &checkpoint, peak)?;
+            let (record, seconds) = Record::resume(folder.clone(), origin, completed, stage_is_over, peak)?;
             (Some(record), seconds)
         } else {
             (None, 0.0)
         };
-        let saved = Some(checkpoint.completed_steps());
-        let trainer = Trainer::resume(checkpoint, data, place)?;
+        let saved = Some(completed);
         Ok(Self { folder: Some(folder), record, saved, seconds_before, ..Self::of(trainer, peak) })
     }
 }

@@ -91,6 +91,18 @@ impl Scene {
         Ok(Self { path, data: scene, bytes, run: is_run.then_some(folder), own, pinhole: false })
     }
 
+    /// Checks that `out` is another file than that of this scene, which would be lost.
+    ///
+    /// # Errors
+    /// A sentence that names the file.
+    pub fn check_is_not(&self, out: &Path) -> Result<(), String> {
+        let [a, b] = [out, &*self.path].map(|path| path.canonicalize().ok());
+        if a.is_some() && a == b {
+            return Err(format!("--out is the scene itself, {}: name another file", self.path.display()));
+        }
+        Ok(())
+    }
+
     /// The coarsest level of a scene in levels of detail: it knows no run.
     pub fn of_levels(path: &Path, coarsest: SceneData) -> Self {
         Self { path: path.to_owned(), data: coarsest, bytes: 0, run: None, own: true, pinhole: false }

@@ -216,6 +216,15 @@ fn a_run_goes_on_for_longer_and_with_a_dataset_that_moved() {
     let other = Dataset { extent: 2.0 * dataset().extent, ..Dataset::clone(&dataset()) };
     let refused = error(Run::resume(moved.clone(), other, device()));
     assert!(refused.to_string().contains("it is another dataset"), "{refused}");
+    let mut other_views = moved.clone();
+    other_views.lengthen(36).unwrap();
+    let mut renamed = Dataset::clone(&dataset());
+    renamed.train[0].name = "other".to_owned();
+    let bytes = || [folder.origin(), folder.config(), folder.evaluation()].map(|file| std::fs::read(file).unwrap());
+    let before = bytes();
+    let refused = error(Run::resume(other_views, renamed, device()));
+    assert!(refused.to_string().contains("not the same ones"), "{refused}");
+    assert!(bytes() == before, "what is refused changes nothing");
     drop(Run::resume(moved, dataset(), device()).unwrap());
     assert_eq!(saved().origin().dataset, "elsewhere");
 

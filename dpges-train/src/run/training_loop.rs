@@ -45,7 +45,9 @@ impl Run {
         let step = self.trainer.completed_steps();
         let rescued = (settled.is_ok() && self.saved != Some(step) && self.trainer.ranks().is_alone()).then(|| {
             let name = self.folder.as_ref().and_then(|folder| folder.path().file_name()).unwrap_or_default();
-            let path = std::env::temp_dir().join(format!("dpges-{}-step-{step}.safetensors", name.to_string_lossy()));
+            // folders elsewhere may have the same name, and be as full
+            let (name, process) = (name.to_string_lossy(), std::process::id());
+            let path = std::env::temp_dir().join(format!("dpges-{name}-{process}-step-{step}.safetensors"));
             self.trainer.checkpoint().save(&path).ok().map(|()| path)
         });
         RunError::DiskFull { source: Box::new(error), step, rescued: rescued.flatten() }

@@ -50,11 +50,7 @@ impl Context {
         if wanted == Environment::None {
             return Ok(None);
         }
-        // whether the photographs show the background of the dataset, not a world
-        let is_given = self.dataset.format == Format::Blender
-            || self.dataset.train.iter().any(|view| view.photograph.has_transparency())
-            || self.config.data.background != Background::Auto;
-        if wanted == Environment::Auto && is_given {
+        if wanted == Environment::Auto && self.background_is_given() {
             tracing::info!("the background is given, so the scene has no environment");
             return Ok(None);
         }
@@ -66,6 +62,13 @@ impl Context {
             }
         }
         self.environment_of_sky(wanted)
+    }
+
+    /// Whether the photographs show the background of the dataset, not a world.
+    pub fn background_is_given(&self) -> bool {
+        self.dataset.format == Format::Blender
+            || self.dataset.train.iter().any(|view| view.photograph.has_transparency())
+            || self.config.data.background != Background::Auto
     }
 
     /// Adds `colour` to an environment before the background of this dataset, and takes the latter away.

@@ -51,6 +51,7 @@ fn waste_is_removed_and_its_price_is_printed() {
     let asked = ok(at, &words("clean run --dry-run --floaters --device cpu"));
     assert_contains(&asked, &["floaters", "unseen", "left"]);
     assert_eq!(std::fs::read_dir(at).unwrap().filter(|entry| is_new(entry.as_ref().unwrap())).count(), 0);
+    assert_contains(&fails(at, 2, &words("clean run --out clean.ply --device cpu")), &["clean.ply", "dpges export"]);
     let table = ok(at, &words("clean run --box -1,-1,-1,1,1,1 --out clean.safetensors --json clean.json --device cpu"));
     assert_contains(&table, &["6 views, split `test`", "clean_before.png", "clean_after.png"]);
     let [counted, cleaned] = ["counted.json", "clean.json"].map(|name| json(at.join(name)));

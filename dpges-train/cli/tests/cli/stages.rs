@@ -37,6 +37,8 @@ fn what_a_method_trains_alone_can_be_a_beginning() {
     assert!(!at.join("no").exists());
     // what was peeled is sorted from its first step on, and splats of a file are a beginning too
     ok(at, &["export", "gaussians", "--format=ply", "--fit=0", "--out=splats.ply", "--device=cpu"]);
+    let itself = fails(at, 2, &["export", "splats.ply", "--format=ply", "--fit=0", "--out=splats.ply", "--device=cpu"]);
+    assert_contains(&itself, &["splats.ply", "another file"]);
     for (run, method, from) in [
         ("sorted", "3dgs", "both/scene.safetensors"),
         ("again", "mcmc", "splats.ply"),

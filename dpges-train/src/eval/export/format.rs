@@ -76,6 +76,19 @@ const ENDINGS: [&str; 14] = [
     "html",
 ];
 
+/// Checks that the ending of `out` does not say that it is anything but a scene file.
+///
+/// # Errors
+/// A sentence that names the file.
+pub fn check_scene_file(out: &Path) -> Result<(), String> {
+    let ending = out.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    if ENDINGS.contains(&&*ending) && ending != "safetensors" {
+        let out = out.display();
+        return Err(format!("--out {out} says .{ending}: a scene file is written; `dpges export` writes splats"));
+    }
+    Ok(())
+}
+
 impl ExportFormat {
     /// `None` if it is not one of splats.
     pub fn of_splats(self) -> Option<SplatFormat> {

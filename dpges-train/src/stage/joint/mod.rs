@@ -52,6 +52,8 @@ pub struct JointStage {
     pub gaussians: GaussianState,
     pub sharding: Sharding,
     pub environment: EnvironmentState,
+    /// Whether photographs show a world, and no background that is given: Gaussians that few pictures need are held down then.
+    pub shows_a_world: bool,
     /// `None` if primitives may be as fine as they like.
     pub limits: Option<SamplingLimits>,
     /// `None` if nothing holds the sky free.
@@ -120,6 +122,7 @@ impl JointStage {
             gaussians,
             sharding,
             limits: None,
+            shows_a_world: environment.is_some() || !context.background_is_given(),
             sky: SkyMasks::new(&environment, context)?,
             environment,
             supervisions: None,

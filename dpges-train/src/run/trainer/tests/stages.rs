@@ -43,6 +43,16 @@ fn stages_hand_on_what_they_trained() {
 }
 
 #[test]
+fn gaussians_are_held_down_unless_the_background_is_given() {
+    let terms = |set: &[&str]| {
+        let report = trainer(&[&["train.steps=4", "refine.budget=300"], set].concat()).step().unwrap().unwrap();
+        report.terms.iter().any(|(name, _)| *name == "opacity")
+    };
+    assert!(terms(&[]) && terms(&["data.background=black", "model.environment=sh0"]));
+    assert!(!terms(&["data.background=black"]));
+}
+
+#[test]
 fn what_is_learnt_beside_the_primitives_learns_in_every_stage_and_goes_from_one_to_the_next() {
     let corrected = ["train.exposure=on", "train.poses=on", "optimizer.pose_from=0"];
     let mut trainer = trainer(&[&STAGES[..], &corrected].concat());
