@@ -10,6 +10,7 @@ use dpges_train::dataset::capture;
 use dpges_train::dataset::check::{Effort, Report, map, sheet, summary};
 use dpges_train::device::DeviceRequest;
 use dpges_train::eval::pictures::{photograph, save_png};
+use dpges_train::init::chance::random_points;
 use dpges_train::run::folder::write_json;
 use dpges_train::run::hold::Hold;
 use dpges_train::run::recommendation::{PRESET, Recommendation};
@@ -58,7 +59,8 @@ pub fn run(args: &InspectArgs, style: LogStyle) -> Result<()> {
     sfm::prepare(Some(&args.dataset), &options, style)?;
     let source = Source::named(Some(&args.dataset));
     let dataset = source.load(&config.load_options())?;
-    let report = Report::of(&dataset, Effort::Full)?;
+    let mut report = Report::of(&dataset, Effort::Full)?;
+    report.findings.extend(random_points(&dataset)?);
     let mut rows = vec![("dataset", format!("{source}: {}", dataset.format))];
     rows.extend(summary::rows(&dataset, &report));
     let findings: String = report.findings.iter().map(|finding| format!("! {finding}\n")).collect();

@@ -22,6 +22,8 @@ pub enum Kind {
     Intrinsics,
     NoPoints,
     FewPoints,
+    /// Points are not where photographs show what they say.
+    RandomPoints,
     Blurred,
     /// A view is brighter or darker than most.
     Exposure,

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::region::Region;
 use crate::config::{Config, InitMethod};
-use crate::dataset::{Dataset, PointCloud, View, sampled};
+use crate::dataset::{Dataset, Finding, Kind, PointCloud, View, sampled};
 
 /// Points that are compared, at most.
 const COMPARED: usize = 1000;
@@ -25,27 +25,39 @@ const LEAST_VIEWS: usize = 3;
 /// Standard deviations of a fair coin beyond which comparisons are no chance.
 const SIGNIFICANT: f64 = 4.0;
 
-/// `dataset` without its points if they look random, which a warning then says. All that follows from points, such as where
-/// the sky is, would be wrong with them. `init.method = "sfm"` keeps them.
+/// `dataset` without its points if they look [random](random_points), which a warning then says. All that follows from points,
+/// such as where the sky is, would be wrong with them. `init.method = "sfm"` keeps them.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.
 pub fn without_random_points(dataset: Arc<Dataset>, config: &Config) -> Result<Arc<Dataset>> {
-    let points = &dataset.points;
-    if config.init.method == InitMethod::Sfm || !points.seen_by.are_unknown() {
+    if config.init.method == InitMethod::Sfm {
         return Ok(dataset);
     }
-    let views: Vec<&View> = dataset.train.iter().collect();
-    // a seed of its own: a run that goes on comes to the same verdict
-    if !looks_random(points, &views, &mut ChaCha8Rng::seed_from_u64(0))? {
-        return Ok(dataset);
-    }
-    tracing::warn!(
-        "{} points agree with the photographs no better than random ones would (random points, or a cloud in another frame \
-         than the cameras): they are left out; `--set init.method=sfm` keeps them",
-        points.positions.len()
-    );
+    let Some(finding) = random_points(&dataset)? else { return Ok(dataset) };
+    tracing::warn!("{finding}");
     Ok(Arc::new(Dataset { points: PointCloud::default(), ..(*dataset).clone() }))
+}
+
+/// What is wrong with points that no view is said to see, if photographs say nothing for them.
+///
+/// # Errors
+/// [`dpges_core::Error::Io`] if a photograph cannot be read again.
+pub fn random_points(dataset: &Dataset) -> Result<Option<Finding>> {
+    let (points, views) = (&dataset.points, dataset.train.iter().collect::<Vec<_>>());
+    // a seed of its own: a run that goes on comes to the same verdict
+    let rng = &mut ChaCha8Rng::seed_from_u64(0);
+    let are_random = points.seen_by.are_unknown() && looks_random(points, &views, rng)?;
+    Ok(are_random.then(|| Finding {
+        kind: Kind::RandomPoints,
+        views: Vec::new(),
+        message: format!(
+            "{} points agree with the photographs no better than random ones would: random points, a cloud in another frame \
+             than the cameras, or wrong cameras",
+            points.positions.len()
+        ),
+        advice: "training leaves them out; init.method = \"sfm\" keeps them",
+    }))
 }
 
 /// Whether photographs say nothing for `points`: their colours are seen at their places no better than at those of other
