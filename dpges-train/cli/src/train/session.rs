@@ -6,7 +6,7 @@ use dpges_train::config::duration::Seconds;
 use dpges_train::device::DeviceName;
 use dpges_train::device::failure::{DeviceFailure, Watch};
 use dpges_train::eval::{EvalReport, Evaluation};
-use dpges_train::run::folder::RunFolder;
+use dpges_train::run::folder::{RunFolder, read_json};
 use dpges_train::run::shell::quoted;
 use dpges_train::run::{Observer, Outcome, Run, RunError, TrainError};
 
@@ -50,8 +50,8 @@ impl Session {
         let counts = format!("{} surfels, {} Gaussians", scene.surfels.len(), scene.gaussians.len());
         rows.push(("scene", format!("{counts}, {:.1} MB", std::fs::metadata(&path)?.len() as f64 / 1e6)));
         for stage in self.run.trainer().plan() {
-            if let Ok(text) = std::fs::read_to_string(self.folder.stage_evaluation(stage)) {
-                let report: EvalReport = serde_json::from_str(&text)?;
+            // damaged since, it is no reason to fail
+            if let Ok(report) = read_json::<EvalReport>(&self.folder.stage_evaluation(stage)) {
                 let Evaluation { psnr, gaussians, .. } = report.evaluation;
                 rows.push(("stage", format!("{stage}: {psnr:.2} dB with {gaussians} Gaussians")));
             }
