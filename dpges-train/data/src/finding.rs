@@ -33,6 +33,8 @@ pub enum Kind {
     Duplicate,
     /// All cameras stand at one point.
     OnePlace,
+    /// A photograph is not the one whose camera the view has.
+    OtherPhotograph,
     /// A picture has one colour.
     Plain,
     /// A picture is far smaller than the others.

@@ -1,7 +1,7 @@
 //! Problems of a dataset, in words. Each judgement compares views with the rest of the set, so that it needs no
 //! knowledge of cameras or scenes.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use glam::DVec3;
 
@@ -72,22 +72,15 @@ fn named(
 
 /// All that is wrong, from most to least important.
 pub(super) fn findings(views: &[ViewFacts], dataset: &Dataset) -> Vec<Finding> {
-    let judgements = [
-        plain,
-        far_poses,
-        unseen,
-        copies,
-        small,
-        blurred,
-        exposures,
-        exposure_spread,
-        few_points,
-        duplicates,
-        unexplained,
-        few_views,
-    ];
-    let of_views = judgements.into_iter().filter_map(|judgement| judgement(views));
-    one_place(views, dataset).into_iter().chain(of_views).collect()
+    let judged = |judgements: &[fn(&[ViewFacts]) -> Option<Finding>]| -> Vec<Finding> {
+        judgements.iter().filter_map(|judgement| judgement(views)).collect()
+    };
+    let mut found: Vec<Finding> = one_place(views, dataset).into_iter().collect();
+    found.extend(judged(&[plain, far_poses, unseen, copies]));
+    let known = dataset.notices.0.iter().chain(&found).flat_map(|finding| &finding.views).map(String::as_str).collect();
+    found.extend(other_photographs(views, &known));
+    found.extend(judged(&[small, blurred, exposures, exposure_spread, few_points, duplicates, unexplained, few_views]));
+    found
 }
 
 /// The middle of the cameras: of each coordinate the median.
@@ -207,6 +200,18 @@ fn copies(views: &[ViewFacts]) -> Option<Finding> {
     let words =
         ["a photograph is there twice, with different cameras", "photographs are there twice, with different cameras"];
     named(Kind::Duplicate, words, repeated, advice)
+}
+
+/// The photographs that are not those of their views, except for views that are `known` to be wrong in another way.
+fn other_photographs(views: &[ViewFacts], known: &HashSet<&str>) -> Option<Finding> {
+    let others = views.iter().filter(|view| view.is_of_another && !known.contains(view.name.as_str()));
+    let words = [
+        "a photograph does not show what the points of its view say (turned, renumbered or exchanged?)",
+        "photographs do not show what the points of their views say (turned, renumbered or exchanged?)",
+    ];
+    let others = others.map(|view| (view.correlation.unwrap_or(0.0), view, String::new()));
+    let advice = "put back the photographs whose cameras were found, as they were then, or find the cameras again";
+    named(Kind::OtherPhotograph, words, others.collect(), advice)
 }
 
 fn is_same_pose(a: &ViewFacts, b: &ViewFacts, reach: f64) -> bool {

@@ -178,6 +178,41 @@ fn a_darker_photograph_is_named() {
     assert_says(&full(&dataset).findings[0], &["train_004 (-", " stops)"]);
 }
 
+/// Turns a photograph by 180 degrees.
+fn turn(view: &mut View) {
+    repaint(view, |planes| planes.chunks_exact_mut(SIZE * SIZE).for_each(<[f32]>::reverse));
+}
+
+#[test]
+fn photographs_of_other_cameras_are_named() {
+    let mut dataset = clean();
+    turn(&mut dataset.train[4]);
+    let [a, b] = [9, 17].map(|view| dataset.train[view].photograph.clone());
+    (dataset.train[9].photograph, dataset.train[17].photograph) = (b, a);
+    let report = full(&dataset);
+    let [finding] = report.findings.as_slice() else { panic!("{:?}", report.findings) };
+    assert_eq!(finding.kind, Kind::OtherPhotograph);
+    let mut views = finding.views.clone();
+    views.sort();
+    assert_eq!(views, ["train_004", "train_009", "train_017"]);
+    assert_says(finding, &["3 photographs do not show what the points of their views say (turned, renumbered or"]);
+    assert_eq!(report.views[4].exposure, None);
+    let correlations: Vec<f64> = report.views.iter().filter_map(|view| view.correlation).collect();
+    assert_eq!(correlations.len(), 24, "{correlations:?}");
+    let least = report.views.iter().filter(|view| !views.contains(&view.name)).filter_map(|view| view.correlation);
+    assert!(least.fold(1.0, f64::min) > 0.8, "{correlations:?}");
+}
+
+#[test]
+fn points_without_colours_say_nothing_about_photographs() {
+    for grey in [[0.5; 2], [0.2, 0.8]] {
+        let mut dataset = clean();
+        turn(&mut dataset.train[4]);
+        dataset.points.colours.iter_mut().enumerate().for_each(|(at, colour)| *colour = [grey[at % 2]; 3]);
+        assert!(full(&dataset).views.iter().all(|view| view.correlation.is_none()));
+    }
+}
+
 #[test]
 fn brightness_that_varies_throughout_is_said_once() {
     let mut dataset = clean();
