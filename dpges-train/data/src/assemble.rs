@@ -515,6 +515,8 @@ mod tests {
         assert_refused(folder.path(), &every(1), &["images.bin", "all 3 are held out"]);
         assert_eq!(load(folder.path(), &every(0)).unwrap().train.len(), 3);
         std::fs::write(folder.path().join("test.txt"), "nobody.png\n").unwrap();
+        assert_says(said(&load(folder.path(), &every(8)).unwrap()), &["test.txt is not used", "`nobody.png`"]);
+        std::fs::write(folder.path().join("test.txt"), "# nobody\n").unwrap();
         assert_refused(folder.path(), &every(8), &["images.bin", "no test views"]);
     }
 }

@@ -9,61 +9,103 @@ use crate::error::{Result, read_text};
 use crate::finding::Kind;
 use crate::key::{key, stem};
 
+/// Letters of a line that are shown.
+const SHOWN: usize = 60;
+
 /// Every `test_every`-th of `count` views in name order is held out, beginning with the first; 0 holds none out.
 pub(super) fn every_nth(count: usize, test_every: usize) -> Vec<Split> {
     (0..count).map(|index| if test_every > 0 && index % test_every == 0 { Split::Test } else { Split::Train }).collect()
 }
 
-/// The split that `train.txt` and `test.txt` (one image name a line, `#` comments) in one of `folders` ask for, or `None` where
-/// no folder has either. A view in neither list is left out, or trains where there is no `train.txt`. Names may lack their
-/// folder `images` and their extension; those of no view are said.
+/// Views by what lists call them.
+pub(super) struct Named(HashMap<String, usize>);
+
+impl Named {
+    /// By their `names`, with or without their folder `images` and their extension; the first of those that are called alike.
+    pub fn new<'a>(names: impl IntoIterator<Item = &'a str>) -> Self {
+        let keys: Vec<String> = names.into_iter().map(key).collect();
+        let forms: [fn(&str) -> String; 4] =
+            [str::to_owned, subject, |key| stem(key).to_owned(), |key| stem(&subject(key)).to_owned()];
+        let mut views = HashMap::new();
+        for form in forms {
+            for (view, key) in keys.iter().enumerate() {
+                views.entry(form(key)).or_insert(view);
+            }
+        }
+        Self(views)
+    }
+
+    /// Without the `dropped` first folders of its path.
+    fn view(&self, name: &str, dropped: usize) -> Option<usize> {
+        let name = name.split('/').skip(dropped).collect::<Vec<_>>().join("/");
+        self.0.get(&name).or_else(|| self.0.get(&subject(&name))).copied()
+    }
+
+    /// The views of a list, which may have been written on another machine, below other folders.
+    pub fn views(&self, list: &[&str]) -> Vec<Option<usize>> {
+        let keys: Vec<String> = list.iter().map(|name| key(name)).collect();
+        let known = |dropped: usize| keys.iter().filter(|key| self.view(key, dropped).is_some()).count();
+        let deepest = keys.iter().map(|key| key.split('/').count()).max().unwrap_or(0);
+        let dropped = (1..deepest).rev().max_by_key(|&dropped| known(dropped)).unwrap_or(0);
+        keys.iter().map(|key| self.view(key, 0).or_else(|| self.view(key, dropped))).collect()
+    }
+}
+
+/// The split that `train.txt` and `test.txt` (one image name a line, `#` comments) in the first of `folders` with either ask for,
+/// or `None` where no folder has one. A view in neither list is left out, or trains where there is no `train.txt`. Names may be
+/// those of another machine, and lack their folder `images` and their extension; those of no view are said, and a file without
+/// any other is none.
 ///
 /// # Errors
 /// [`crate::DatasetError::Read`].
 pub(super) fn from_lists(folders: &[&Path], names: &[&str], source: &mut Source) -> Result<Option<Vec<Split>>> {
-    let Some(folder) = folders.iter().find(|f| f.join("test.txt").is_file() || f.join("train.txt").is_file()) else {
-        return Ok(None);
-    };
-    let keys: Vec<[String; 2]> = names.iter().map(|name| [key(name), subject(&key(name))]).collect();
-    let mut views: HashMap<&str, usize> = HashMap::new();
-    for (view, key) in keys.iter().flatten().enumerate() {
-        views.entry(stem(key)).or_insert(view / 2);
-        views.insert(key, view / 2);
-    }
-    let mut list = |name: &str| -> Result<Option<BTreeSet<usize>>> {
-        let path = folder.join(name);
-        if !path.is_file() {
-            return Ok(None);
+    let named = Named::new(names.iter().copied());
+    for folder in folders {
+        let train = list(&folder.join("train.txt"), &named, source)?;
+        let test = list(&folder.join("test.txt"), &named, source)?;
+        if train.is_none() && test.is_none() {
+            continue;
         }
-        let text = read_text(&path)?;
-        let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
-        let view_of = |line: &str| {
-            let key = key(line);
-            views.get(key.as_str()).or_else(|| views.get(subject(&key).as_str()))
+        let of = |view: usize| match (&train, &test) {
+            (_, Some(test)) if test.contains(&view) => Split::Test,
+            (Some(train), _) if train.contains(&view) => Split::Train,
+            (Some(_), None) => Split::Test,
+            (Some(_), Some(_)) => Split::Neither,
+            (None, _) => Split::Train,
         };
-        let (found, strangers): (Vec<_>, Vec<_>) =
-            lines.map(|line| (line, view_of(line))).partition(|(_, view)| view.is_some());
-        let strangers: Vec<&str> = strangers.into_iter().map(|(line, _)| line).collect();
-        let what = format!("names in {} are those of no view", path.display());
-        source.notices.add_names(Kind::Missing, &what, &strangers, "correct or remove them");
-        source.used.push(path);
-        Ok(Some(found.into_iter().filter_map(|(_, view)| view.copied()).collect()))
-    };
-    let (train, test) = (list("train.txt")?, list("test.txt")?);
-    let of = |view: usize| match (&train, &test) {
-        (_, Some(test)) if test.contains(&view) => Split::Test,
-        (Some(train), _) if train.contains(&view) => Split::Train,
-        (Some(_), None) => Split::Test,
-        (Some(_), Some(_)) => Split::Neither,
-        (None, _) => Split::Train,
-    };
-    Ok(Some((0..names.len()).map(of).collect()))
+        return Ok(Some((0..names.len()).map(of).collect()));
+    }
+    Ok(None)
+}
+
+/// The views that the file at `path` lists, if it is such a list.
+fn list(path: &Path, named: &Named, source: &mut Source) -> Result<Option<BTreeSet<usize>>> {
+    if !path.is_file() {
+        return Ok(None);
+    }
+    source.used.push(path.to_owned());
+    let text = read_text(path)?;
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+    let lines: Vec<&str> = lines.collect();
+    let views = named.views(&lines);
+    if let Some(first) = lines.first().filter(|_| views.iter().all(Option::is_none)) {
+        let first: String = first.chars().take(SHOWN).collect();
+        let message = format!("{} is not used: no line of it is the name of a view, from `{first}` on", path.display());
+        source.notices.add(Kind::Unused, message, "write one name a line, or remove the file");
+        return Ok(None);
+    }
+    let strangers: Vec<&str> =
+        lines.iter().zip(&views).filter(|(_, view)| view.is_none()).map(|(line, _)| *line).collect();
+    let what = format!("names in {} are those of no view", path.display());
+    source.notices.add_names(Kind::Missing, &what, &strangers, "correct or remove them");
+    Ok(Some(views.into_iter().flatten().collect()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::Format;
+    use crate::fixtures::assert_says;
 
     #[test]
     fn lists_decide_and_leave_out() {
@@ -85,5 +127,32 @@ mod tests {
         assert_eq!(found, [Split::Neither, Split::Test, Split::Train]);
         let [notice] = said.notices.0.as_slice() else { panic!("{:?}", said.notices) };
         assert!(notice.message.ends_with("test.txt are those of no view (2): c.jpg, d.png"), "{notice:?}");
+    }
+
+    #[test]
+    fn lists_of_another_machine_are_matched_by_the_ends_of_their_paths() {
+        let folder = tempfile::tempdir().unwrap();
+        let names = ["a.png", "sub/b.png", "c.png", "other/c.png"];
+        let lists = "D:\\data\\scene\\images\\sub\\b.png\nD:\\data\\scene\\images\\c.png\n";
+        std::fs::write(folder.path().join("test.txt"), lists).unwrap();
+        let mut source = Source::new(Format::Colmap, folder.path().to_owned(), "");
+        let found = from_lists(&[folder.path()], &names, &mut source).unwrap().unwrap();
+        assert_eq!(found, [Split::Train, Split::Test, Split::Test, Split::Train]);
+        assert_eq!(source.notices.0, []);
+    }
+
+    #[test]
+    fn a_file_that_lists_no_view_is_no_list() {
+        let folder = tempfile::tempdir().unwrap();
+        let below = folder.path().join("sparse");
+        std::fs::create_dir(&below).unwrap();
+        std::fs::write(folder.path().join("train.txt"), "# log\npython train.py -s data\n30000 steps\n").unwrap();
+        let mut source = Source::new(Format::Colmap, folder.path().to_owned(), "");
+        let mut split = || from_lists(&[folder.path(), &below], &["a.png", "b.png"], &mut source).unwrap();
+        assert_eq!(split(), None);
+        std::fs::write(below.join("test.txt"), "b.png\n").unwrap();
+        assert_eq!(split().unwrap(), [Split::Train, Split::Test]);
+        assert_says(&source.notices.0[0], &["train.txt is not used", "`python train.py -s data`"]);
+        assert_eq!(source.used.len(), 3);
     }
 }

@@ -5,9 +5,10 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
+use super::held_out::{self, Named};
+use super::ply;
 use super::source::{Source, Split};
 use super::transforms::{Transforms, read_transforms};
-use super::{held_out, ply};
 use crate::error::Result;
 use crate::finding::Kind;
 use crate::key::{key, parent};
@@ -27,14 +28,8 @@ pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, optio
     let mut source = Source::new(format, train.to_owned(), "the file that lists held-out frames lists none that exist");
     transforms.add_frames(folder, train, Split::Train, &mut source)?;
     source.drop_twins()?;
-    if let Some(split) = listed_split(&transforms) {
-        source.frames.iter_mut().for_each(|frame| frame.split = split(&key(&frame.name)));
-        let known: BTreeSet<String> = source.frames.iter().map(|frame| key(&frame.name)).collect();
-        let missing: BTreeSet<String> = source.missing.iter().map(|path| folder.key_of(path)).collect();
-        let is_strange = |name: &&String| [&known, &missing].iter().all(|names| !names.contains(&key(name)));
-        let strangers: Vec<&String> = transforms.listed().into_iter().flatten().flatten().filter(is_strange).collect();
-        let what = format!("names in the lists of {} are those of no view", train.display());
-        source.notices.add_names(Kind::Missing, &what, &strangers, "correct or remove them");
+    if transforms.listed().iter().any(|list| list.is_some()) {
+        split_as_listed(&transforms, train, layout, &mut source);
     } else if let Some(path) = held_out {
         read_transforms(path)?.add_frames(folder, path, Split::Test, &mut source)?;
         // a view that is in both is held out
@@ -65,27 +60,34 @@ pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, optio
     Ok(source)
 }
 
-/// The split by `train_filenames`, `test_filenames` and `val_filenames`, of the keys of names. Frames in none of them are omitted,
-/// or are training frames if there is no `train_filenames`.
-fn listed_split(transforms: &Transforms) -> Option<impl Fn(&str) -> Split> {
-    let set = |names: &Option<Vec<String>>| -> Option<BTreeSet<String>> {
-        names.as_ref().map(|names| names.iter().map(|name| key(name)).collect())
+/// Splits the frames by `train_filenames`, `test_filenames` and `val_filenames`. Frames in none of them are omitted, or are
+/// training frames if there is no `train_filenames`. Says which names are those of no frame.
+fn split_as_listed(transforms: &Transforms, path: &Path, layout: &Layout, source: &mut Source) {
+    let missing: Vec<String> = source.missing.iter().map(|path| layout.folder.key_of(path)).collect();
+    let names = source.frames.iter().map(|frame| &frame.name).chain(&missing);
+    let named = Named::new(names.map(String::as_str));
+    let mut strangers = Vec::new();
+    let mut set = |names: &Option<Vec<String>>| -> Option<BTreeSet<usize>> {
+        let names: Vec<&str> = names.as_ref()?.iter().map(String::as_str).collect();
+        let views = named.views(&names);
+        strangers
+            .extend(names.iter().zip(&views).filter(|(_, view)| view.is_none()).map(|(name, _)| (*name).to_owned()));
+        Some(views.into_iter().flatten().collect())
     };
-    let [train, test, val] = transforms.listed().map(set);
-    let (held_out, unused) = match test {
-        Some(test) => (Some(test), val),
-        None => (val, None),
-    };
-    (train.is_some() || held_out.is_some()).then_some(move |frame: &str| {
-        let within = |set: &Option<BTreeSet<String>>| set.as_ref().is_some_and(|set| set.contains(frame));
-        if within(&held_out) {
+    let [train, test, val] = transforms.listed().map(&mut set);
+    let (held_out, unused) = if test.is_some() { (test, val) } else { (val, None) };
+    let within = |set: &Option<BTreeSet<usize>>, frame: usize| set.as_ref().is_some_and(|set| set.contains(&frame));
+    for (index, frame) in source.frames.iter_mut().enumerate() {
+        frame.split = if within(&held_out, index) {
             Split::Test
-        } else if within(&unused) || (train.is_some() && !within(&train)) {
+        } else if within(&unused, index) || (train.is_some() && !within(&train, index)) {
             Split::Neither
         } else {
             Split::Train
-        }
-    })
+        };
+    }
+    let what = format!("names in the lists of {} are those of no view", path.display());
+    source.notices.add_names(Kind::Missing, &what, &strangers, "correct or remove them");
 }
 
 #[cfg(test)]
@@ -155,6 +157,9 @@ mod tests {
         assert_eq!(sizes(), (2, "02".to_owned()));
         let said = said(&load(folder.path(), &LoadOptions::default()).unwrap());
         assert_says(said, &["transforms.json are those of no view (1): images/20.png", "left out (7): images/03.png"]);
+        let lists = r#", "train_filenames": ["00.png", "01.png"], "val_filenames": ["02.png"]"#;
+        write("transforms.json", &format!("{GLOBAL}{lists}"), &frames);
+        assert_eq!(sizes(), (2, "02".to_owned()));
         write("transforms.json", &format!(r#"{GLOBAL}, "test_filenames": ["gone.png"]"#), &frames);
         assert_refused(folder.path(), &LoadOptions::default(), &["transforms.json: no test views"]);
     }
