@@ -200,16 +200,16 @@ fn look_at(source: &mut Source) -> Result<bool> {
     Ok(has_alpha)
 }
 
-/// `images/…` as `images_<scale>/…`, with another extension if there is none with this one.
+/// `…/images/…` as `…/images_<scale>/…`, with another extension if there is none with this one.
 fn scaled_image(files: &Folder, frame: &Frame, scale: u32) -> Result<PathBuf> {
-    let root = files.root.as_path();
-    let folder = root.join(format!("images_{scale}"));
-    let missing = || DatasetError::MissingScale { path: folder.clone(), available: image_folders(root) };
-    let relative = frame.image.strip_prefix(root).map_err(|_| missing())?;
-    let mut components = relative.components().filter(|component| *component != Component::CurDir);
-    let is_base = |part: Component<'_>| part.as_os_str().to_string_lossy().split('_').next() == Some("images");
-    if !components.next().is_some_and(is_base) || !folder.is_dir() {
-        return Err(missing());
+    let relative = frame.image.strip_prefix(&files.root).unwrap_or(&frame.image);
+    let is_base = |part: &Component<'_>| part.as_os_str().to_string_lossy().split('_').next() == Some("images");
+    let mut components = relative.components();
+    let above: PathBuf = components.by_ref().take_while(|part| !is_base(part)).collect();
+    let place = files.root.join(if above == relative { Path::new("") } else { &above });
+    let folder = place.join(format!("images_{scale}"));
+    if above == relative || !folder.is_dir() {
+        return Err(DatasetError::MissingScale { available: image_folders(&place), path: folder });
     }
     let file = folder.join(components.collect::<PathBuf>());
     if file.is_file() {

@@ -154,13 +154,17 @@ fn ambiguous(folder: &Folder, source: &Source) -> Vec<String> {
 
 /// Keys of the pictures that a model of COLMAP or a file of transforms describes.
 fn views_of(folder: &Folder, cameras: &Path) -> Result<Vec<String>> {
-    let (names, bases) = if cameras.is_file() {
-        (transforms::read_transforms(cameras)?.picture_names(), &[""][..])
+    let pictures = if cameras.is_file() {
+        let names = transforms::read_transforms(cameras)?.picture_names();
+        folder.pictures(&as_strs(&names), &[""])
     } else {
-        (colmap::image_names(cameras)?, &["images", ""][..])
+        colmap::pictures(folder, cameras, &as_strs(&colmap::image_names(cameras)?))
     };
-    let names: Vec<&str> = names.iter().map(String::as_str).collect();
-    Ok(folder.pictures(&names, bases).into_iter().flatten().map(|path| folder.key_of(&path)).collect())
+    Ok(pictures.into_iter().flatten().map(|path| folder.key_of(&path)).collect())
+}
+
+fn as_strs(names: &[String]) -> Vec<&str> {
+    names.iter().map(String::as_str).collect()
 }
 
 /// Whether at least half of the lines of a file are names of pictures, by keys without extensions.

@@ -1,8 +1,8 @@
 //! COLMAP's sparse models, binary and text (<https://colmap.github.io/format.html>).
 //!
-//! A dataset has `images/` beside `sparse/`. The model lies in `sparse/0`, in `sparse` itself, or, if mapping produced
-//! several models, in the `sparse/N` with the most registered images. `images` has the pose of every camera of a rig, so that
-//! `rigs` and `frames` are not needed.
+//! A dataset has `images/` beside `sparse/`; of several such folders the nearest above the model counts. The model lies in
+//! `sparse/0`, in `sparse` itself, or, if mapping produced several models, in the `sparse/N` with the most registered images.
+//! `images` has the pose of every camera of a rig, so that `rigs` and `frames` are not needed.
 
 mod binary;
 mod camera_model;
@@ -21,6 +21,7 @@ use super::{held_out, ply};
 use crate::check::median;
 use crate::error::{DatasetError, Result};
 use crate::finding::Kind;
+use crate::folder::Folder;
 use crate::layout::Layout;
 use crate::names::listing;
 use crate::{Format, LoadOptions, Tracks};
@@ -86,6 +87,14 @@ pub(crate) fn read(layout: &Layout, models: &[PathBuf], options: &LoadOptions) -
     source.points = points;
     source.reprojection_px = reprojection_px(&source.frames, &images, &frame_of, &observed);
     Ok(source)
+}
+
+/// The pictures that the `model` in a folder of a dataset calls `names`: those in the nearest `images` above it, for an undistorted
+/// model has photographs of its own, whose names are those of the originals.
+pub(crate) fn pictures(folder: &Folder, model: &Path, names: &[&str]) -> Vec<Option<PathBuf>> {
+    let above = model.ancestors().map_while(|at| at.strip_prefix(&folder.root).ok());
+    let bases: Vec<String> = above.map(|at| at.join("images").to_string_lossy().into_owned()).collect();
+    folder.pictures(names, &bases.iter().map(String::as_str).chain([""]).collect::<Vec<_>>())
 }
 
 /// Names of the images in the model in a folder.
@@ -261,7 +270,7 @@ fn read_frames(
     let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
     let splits = held_out::from_lists(&[root, &root.join("sparse"), model], &names, source)?;
     let splits = splits.unwrap_or_else(|| held_out::every_nth(images.len(), options.test_every));
-    let pictures = layout.folder.pictures(&names, &["images", ""]);
+    let pictures = pictures(&layout.folder, model, &names);
     let mut frame_of = BTreeMap::new();
     for ((image, split), picture) in images.iter().zip(splits).zip(pictures) {
         let (camera, panorama) = cameras.of(image, &source.described_in)?;

@@ -372,3 +372,40 @@ fn quaternions_that_are_no_rotation_name_the_image() {
         refused(folder.path(), &["images.txt", "quaternion", "left/001.png", quaternion, "rotation"]);
     }
 }
+
+#[test]
+fn an_undistorted_model_has_the_photographs_beside_it() {
+    let scene = fixtures::scene(9);
+    for (model, images) in [
+        ("dense/0/sparse", "dense/0/images"),
+        ("dense/sparse", "dense/images"),
+        ("undistorted/sparse/0", "undistorted/images"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path();
+        fixtures::write_model(&at.join(model), &scene, Encoding::Binary);
+        for image in &scene.images {
+            fixtures::write_png(&at.join("images").join(&image.name), 24, 16, [7; 3]);
+            fixtures::write_png(&at.join(images).join(&image.name), 24, 16, image.rgb);
+            fixtures::write_png(&at.join("images_2").join(&image.name), 12, 8, [7; 3]);
+        }
+        for path in [at.to_owned(), at.join(model)] {
+            let data = loaded(&path);
+            assert_eq!(
+                (said(&data), &data.train[0].picture().unwrap().bytes[..3]),
+                (String::new(), &[1, 100, 200][..])
+            );
+        }
+        let scaled = LoadOptions { image_scale: Some(2), ..LoadOptions::default() };
+        let scaled_images = format!("{images}_2");
+        assert_refused(at, &scaled, &[&scaled_images, "there are images;"]);
+        for image in &scene.images {
+            fixtures::write_png(&at.join(&scaled_images).join(&image.name), 12, 8, image.rgb);
+        }
+        let half = load(at, &scaled).unwrap();
+        assert_eq!(
+            (half.train[0].camera.width, &half.train[0].picture().unwrap().bytes[..3]),
+            (12, &[1, 100, 200][..])
+        );
+    }
+}
