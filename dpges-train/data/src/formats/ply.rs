@@ -24,6 +24,9 @@ pub(super) const GREY: f32 = 0.5;
 const COLOURS: [[&str; 3]; 4] =
     [["red", "green", "blue"], ["diffuse_red", "diffuse_green", "diffuse_blue"], ["r", "g", "b"], SPLATS];
 const SPLATS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
+/// Names that PCL gives to a colour in one number, and the types of that.
+const PACKED: [&str; 2] = ["rgb", "rgba"];
+const PACKED_TYPES: [&str; 6] = ["float", "float32", "uint", "uint32", "int", "int32"];
 
 #[derive(Deserialize)]
 struct Vertex {
@@ -36,6 +39,47 @@ struct Vertex {
     green: Option<f32>,
     #[serde(default)]
     blue: Option<f32>,
+    #[serde(default)]
+    rgb_bits: Option<Packed>,
+}
+
+/// A colour as the bits 0xAARRGGBB of an integer or of a float.
+struct Packed(u32);
+
+impl Packed {
+    /// Red, green and blue, 0 to 255.
+    fn channels(&self) -> [f32; 3] {
+        let [_, red, green, blue] = self.0.to_be_bytes();
+        [red, green, blue].map(f32::from)
+    }
+}
+
+impl<'de> Deserialize<'de> for Packed {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        struct Reader;
+
+        impl Visitor<'_> for Reader {
+            type Value = Packed;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a packed colour")
+            }
+
+            fn visit_f32<E: Error>(self, value: f32) -> std::result::Result<Packed, E> {
+                Ok(Packed(value.to_bits()))
+            }
+
+            fn visit_u32<E: Error>(self, value: u32) -> std::result::Result<Packed, E> {
+                Ok(Packed(value))
+            }
+
+            fn visit_i32<E: Error>(self, value: i32) -> std::result::Result<Packed, E> {
+                Ok(Packed(value.cast_unsigned()))
+            }
+        }
+
+        deserializer.deserialize_any(Reader)
+    }
 }
 
 /// A row of an element that is skipped.
@@ -55,7 +99,8 @@ pub(super) fn beside(folder: &Folder, model: &Path, used: &mut Vec<PathBuf>) -> 
     points(path)
 }
 
-/// The vertices of the file. Colours may be integers, floats in 0..1 or in 0..255, or those of splats. The views that see a
+/// The vertices of the file. Colours may be integers, floats in 0..1 or in 0..255, those of splats, or packed into
+/// one number. The case of names does not matter. The views that see a
 /// point are unknown. Positions may not be finite.
 ///
 /// # Errors
@@ -66,8 +111,9 @@ pub(super) fn points(path: &Path) -> Result<RawPoints> {
         vertices(BufReader::new(file)).map_err(|source| DatasetError::Ply { path: path.to_owned(), source })?;
     let largest = colours.as_flattened().iter().copied().fold(0.0, f32::max);
     let scale = match kind {
-        Some(PropertyType::Scalar(ScalarType::U8 | ScalarType::I8)) => 255.0,
-        Some(PropertyType::Scalar(ScalarType::U16 | ScalarType::I16)) => 65535.0,
+        // some programs write bytes into columns of 16 bits
+        Some(PropertyType::Scalar(ScalarType::U16 | ScalarType::I16)) if largest > 255.0 => 65535.0,
+        Some(PropertyType::Scalar(ScalarType::U8 | ScalarType::I8 | ScalarType::U16 | ScalarType::I16)) => 255.0,
         _ if largest > 1.0 => 255.0,
         _ => 1.0,
     };
@@ -99,9 +145,10 @@ impl<'de> Deserialize<'de> for Rows {
 
             fn visit_seq<A: SeqAccess<'de>>(self, mut vertices: A) -> std::result::Result<Rows, A::Error> {
                 let mut rows = Rows::default();
-                while let Some(Vertex { x, y, z, red, green, blue }) = vertices.next_element()? {
+                while let Some(Vertex { x, y, z, red, green, blue, rgb_bits }) = vertices.next_element()? {
+                    let channels = || [red, green, blue].map(|channel| channel.unwrap_or(f32::NAN));
                     rows.positions.push(DVec3::new(x, y, z));
-                    rows.colours.push([red, green, blue].map(|channel| channel.unwrap_or(f32::NAN)));
+                    rows.colours.push(rgb_bits.map_or_else(channels, |packed| packed.channels()));
                 }
                 Ok(rows)
             }
@@ -117,22 +164,44 @@ fn vertices(mut data: impl BufRead) -> std::result::Result<(Rows, bool, Option<P
     while !header.trim_ascii_end().ends_with(b"end_header")
         && data.read_until(b'\n', &mut header).map_err(DeserializeError::custom)? > 0
     {}
-    let mut header = String::from_utf8_lossy(&header).into_owned();
-    let property = |name: &str, end: &str| format!(" {name}{end}\n");
-    let end = if header.contains("\r\n") { "\r" } else { "" };
-    let names = COLOURS.into_iter().find(|names| names.iter().all(|name| header.contains(&property(name, end))));
-    for (name, usual) in names.into_iter().flatten().zip(COLOURS[0]) {
-        header = header.replace(&property(name, end), &property(usual, end));
-    }
+    let (header, names) = renamed(&String::from_utf8_lossy(&header));
     let mut reader = PlyReader::from_reader(Cursor::new(header).chain(data))?;
     while let Some(element) = reader.current_element() {
         if element.name == "vertex" {
-            let kind = element.get_property("red").map(|property| property.property_type.clone());
+            let kind = match element.get_property("rgb_bits") {
+                Some(_) => Some(PropertyType::Scalar(ScalarType::U8)),
+                None => element.get_property("red").map(|property| property.property_type.clone()),
+            };
             return Ok((reader.next_element()?, names == Some(SPLATS), kind));
         }
         reader.next_element::<Vec<Skipped>>()?;
     }
     Err(Error::custom("it has no `vertex` element"))
+}
+
+/// The header with the names of properties that [`Vertex`] has, and those that the channels of its colours had.
+fn renamed(header: &str) -> (String, Option<[&'static str; 3]>) {
+    let mut header: String = header.split_inclusive('\n').map(|line| in_lower_case(line, header)).collect();
+    let end = if header.contains("\r\n") { "\r\n" } else { "\n" };
+    let property = |name: &str| format!(" {name}{end}");
+    let names = COLOURS.into_iter().find(|names| names.iter().all(|name| header.contains(&property(name))));
+    for (name, usual) in names.into_iter().flatten().zip(COLOURS[0]) {
+        header = header.replace(&property(name), &property(usual));
+    }
+    let packed = |name: &str| PACKED_TYPES.map(|kind| (format!("property {kind} {name}{end}"), kind));
+    let found = PACKED.into_iter().flat_map(packed).find(|(line, _)| names.is_none() && header.contains(line));
+    if let Some((line, kind)) = found {
+        header = header.replace(&line, &format!("property {kind} rgb_bits{end}"));
+    }
+    (header, names)
+}
+
+/// A line of a `header` with the name of a property in lower case, unless another property is called so.
+fn in_lower_case(line: &str, header: &str) -> String {
+    let lower = line.to_lowercase();
+    let name = lower.rsplit(' ').next().unwrap_or_default();
+    let is_free = !header.contains(&format!(" {name}"));
+    if line.starts_with("property") && is_free { lower } else { line.to_owned() }
 }
 
 #[cfg(test)]
@@ -195,10 +264,41 @@ mod tests {
         near(with_colours("int", ["diffuse_red", "diffuse_green", "diffuse_blue"], bytes));
         near(with_colours("float", ["r", "g", "b"], bytes));
         near(with_colours("ushort", ["red", "green", "blue"], ["65535 13107 0", "0 26214 39321"]));
+        near(with_colours("ushort", ["red", "green", "blue"], bytes));
+        near(with_colours("uchar", ["Red", "Green", "Blue"], bytes));
         near(with_colours("float", ["red", "green", "blue"], ["1 0.2 0", "0 0.4 0.6"]));
         let of_splats = expected.map(|colour| colour.map(|c| ((f64::from(c) - 0.5) / SH_C0).to_string()).join(" "));
         near(with_colours("float", ["f_dc_0", "f_dc_1", "f_dc_2"], [&of_splats[0], &of_splats[1]]));
         assert_eq!(with_colours("float", ["nx", "ny", "nz"], ["0 0 1", "0 1 0"]), [[0.5; 3]; 2]);
+    }
+
+    #[test]
+    fn packed_colours_and_names_in_capitals_are_read() {
+        let colours = [[255, 51, 0], [0, 102, 153]].map(|[r, g, b]: [u32; 3]| r << 16 | g << 8 | b);
+        for (kind, name, alpha) in [("float", "rgb", 0), ("uint", "rgba", 0xff00_0000), ("float", "RGB", 0xff00_0000)] {
+            let header = format!(
+                "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float X\nproperty float Y\n\
+                 property float Z\nproperty {kind} {name}\nend_header\n"
+            );
+            let mut data = header.into_bytes();
+            for colour in colours {
+                data.extend([1f32, 2.0, 3.0].iter().flat_map(|value| value.to_le_bytes()));
+                data.extend((colour | alpha).to_le_bytes());
+            }
+            let (_folder, path) = written(&data);
+            let found = points(&path).unwrap();
+            assert_eq!(found.positions, [DVec3::new(1.0, 2.0, 3.0); 2]);
+            assert_eq!(found.colours, [[1.0, 0.2, 0.0], [0.0, 0.4, 0.6]], "{kind} {name}");
+        }
+        let header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n";
+        for (kind, shown) in [
+            ("int", colours.map(|bits| bits.to_string())),
+            ("float", colours.map(|bits| format!("{:e}", f32::from_bits(bits)))),
+        ] {
+            let rows = shown.map(|colour| format!("1 2 3 {colour}\n")).concat();
+            let (_folder, path) = written(format!("{header}property {kind} rgb\nend_header\n{rows}").as_bytes());
+            assert_eq!(points(&path).unwrap().colours, [[1.0, 0.2, 0.0], [0.0, 0.4, 0.6]], "{kind}");
+        }
     }
 
     #[test]
