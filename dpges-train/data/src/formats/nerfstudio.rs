@@ -122,6 +122,41 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_with_an_angle_or_a_size_does_not_inherit_what_contradicts_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let angle = 2.0 * (12.0f64 / 30.0).atan();
+        let own = format!(r#""camera_angle_x": {angle},"#);
+        let frames = [
+            frame(folder.path(), 0, ""),
+            frame(folder.path(), 1, &own),
+            frame(folder.path(), 2, r#""w": 12, "h": 8,"#),
+        ];
+        fixtures::write_png(&folder.path().join("images/02.png"), 12, 8, [9; 3]);
+        write_transforms(&folder.path().join("transforms.json"), GLOBAL, &frames);
+        let data = load(folder.path(), &LoadOptions { test_every: 0, ..Default::default() }).unwrap();
+        let [plain, angled, small] = [0, 1, 2].map(|at| data.train[at].camera);
+        assert_eq!((plain.fx, plain.fy, plain.cx, plain.cy), (20.0, 21.0, 12.5, 8.0));
+        assert!((angled.fx - 30.0).abs() < 1e-9 && angled.fy == angled.fx && angled.cx == 12.5, "{angled:?}");
+        assert_eq!((small.width, small.cx, small.cy), (12, 6.25, 4.0));
+        assert_eq!(said(&data), "");
+    }
+
+    #[test]
+    fn lengths_and_angles_that_contradict_each_other_are_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let angle = |length: f64| format!(r#""camera_angle_x": {}"#, 2.0 * (12.0 / length).atan());
+        let own = [String::new(), r#""fl_x": 30.0,"#.to_owned(), format!(r#""fl_x": 20.0, {},"#, angle(40.0))];
+        let frames: Vec<_> = own.iter().enumerate().map(|(index, own)| frame(folder.path(), index, own)).collect();
+        let read = |length: f64| {
+            write_transforms(&folder.path().join("transforms.json"), &format!("{GLOBAL}, {}", angle(length)), &frames);
+            said(&load(folder.path(), &LoadOptions { test_every: 0, ..Default::default() }).unwrap())
+        };
+        let numbers = "`fl_x` 20 px, `camera_angle_x` 0.58";
+        assert_says(read(20.1), &["contradict each other (1): images/02.png", numbers, "40.0 px"]);
+        assert_says(read(40.0), &["contradict each other (2): images/00.png", numbers, "40.0 px"]);
+    }
+
+    #[test]
     fn distorted_frames_are_undistorted() {
         let folder = tempfile::tempdir().unwrap();
         let write = |k1: &str| {

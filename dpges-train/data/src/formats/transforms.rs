@@ -13,6 +13,7 @@ use serde_json::{Map, Value};
 
 use super::source::{DepthFile, Frame, PanoramaPart, Source, Split, lens};
 use crate::error::{DatasetError, Result, not_json, read_text};
+use crate::finding::Kind;
 use crate::folder::Folder;
 use crate::image::codec;
 use crate::image::depth::DEFAULT_UNIT;
@@ -38,6 +39,11 @@ const LENS_WORDS: [&str; 9] = [
     "omnidirectional",
 ];
 const LENS_COEFFICIENTS: [&str; 8] = ["k5", "k6", "s1", "s2", "s3", "s4", "xi", "omega"];
+/// Keys of focal lengths, and of fields of view that say the same.
+const LENGTHS: [&str; 2] = ["fl_x", "fl_y"];
+const ANGLES: [&str; 2] = ["camera_angle_x", "camera_angle_y"];
+/// Difference between a focal length and that of an angle, as a share, up to which it is not said.
+const MOST_APART: f64 = 0.01;
 
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Transforms {
@@ -169,12 +175,43 @@ impl Transforms {
 
     /// Those of `frame` in the file at `path`: its own before those of all.
     fn intrinsics_of(&self, frame: &JsonFrame, path: &Path) -> Result<Intrinsics> {
-        let mut own = self.intrinsics.clone();
-        own.extend(frame.intrinsics.clone());
-        serde_json::from_value(own.into()).map_err(|error| {
+        let own = &frame.intrinsics;
+        let mut all = self.inherited(own);
+        all.extend(own.clone());
+        serde_json::from_value(all.into()).map_err(|error| {
             let reason = format!("the intrinsics of view `{}`: {error}", name(&frame.file_path));
             DatasetError::Json { path: path.to_owned(), reason }
         })
+    }
+
+    /// Those of the file for a frame with its `own`: without lengths and angles where it has an angle alone, and with the principal
+    /// point of a picture of its size.
+    fn inherited(&self, own: &Map<String, Value>) -> Map<String, Value> {
+        let mut all = self.intrinsics.clone();
+        let has = |key: &&str| number(own, key).is_some();
+        if ANGLES.iter().any(has) && !LENGTHS.iter().any(has) {
+            all.retain(|key, _| !LENGTHS.iter().chain(&ANGLES).any(|focal| focal == key));
+        }
+        for (side, centre) in [("w", "cx"), ("h", "cy")] {
+            let [own_side, side, at] = [number(own, side), number(&all, side), number(&all, centre)];
+            if let (Some(own_side), Some(side), Some(at)) = (own_side, side, at)
+                && own_side != side
+            {
+                all.insert(centre.to_owned(), (at * own_side / side).into());
+            }
+        }
+        all
+    }
+
+    /// `fl_x` and `camera_angle_x` of the `frame`, or of the file if it has neither, where they contradict each other in a picture
+    /// that is `width` px wide.
+    fn contradiction(&self, frame: &JsonFrame, width: usize) -> Option<String> {
+        let is_own = [LENGTHS, ANGLES].as_flattened().iter().any(|key| number(&frame.intrinsics, key).is_some());
+        let block = if is_own { &frame.intrinsics } else { &self.intrinsics };
+        let [Some(length), Some(angle)] = [LENGTHS[0], ANGLES[0]].map(|key| number(block, key)) else { return None };
+        let from_angle = 0.5 * number(block, "w").unwrap_or(width as f64) / (0.5 * angle).tan();
+        let is_said = (from_angle / length - 1.0).abs() > MOST_APART;
+        is_said.then(|| format!("`fl_x` {length} px, `camera_angle_x` {angle}, that is {from_angle:.1} px"))
     }
 
     /// Adds the frames of the file at `path` whose pictures are in `folder` to `source`, all in `split`, sorted by name.
@@ -190,7 +227,7 @@ impl Transforms {
         let names = self.picture_names();
         let pictures = folder.pictures(&names.iter().map(String::as_str).collect::<Vec<_>>(), &[""]);
         let file = |path: &str| folder.get(path).cloned().unwrap_or_else(|| folder.root.join(name(path)));
-        let mut scaled = Vec::new();
+        let (mut scaled, mut contradictions) = (Vec::new(), Vec::new());
         for ((frame, name), image) in self.frames.iter().zip(names).zip(pictures) {
             let Some(image) = image else {
                 source.missing.push(folder.root.join(name));
@@ -200,6 +237,8 @@ impl Transforms {
             let (camera_from_world, scale) = camera_from_world(path, &name, &frame.transform_matrix)?;
             scaled.extend(scale.map(|scale| (name.clone(), scale)));
             let (camera, panorama) = intrinsics.camera(path, &name, &image, camera_from_world)?;
+            let contradiction = self.contradiction(frame, camera.width).filter(|_| panorama.is_none());
+            contradictions.extend(contradiction.map(|found| format!("{name} ({found})")));
             source.frames.push(Frame {
                 camera,
                 panorama,
@@ -215,6 +254,9 @@ impl Transforms {
         }
         source.frames.sort_by(|a, b| a.name.cmp(&b.name));
         source.say_scaled(&scaled);
+        let what = "views have a focal length and an angle that contradict each other";
+        let advice = "the length is used; remove the wrong one";
+        source.notices.add_names(Kind::Intrinsics, what, &contradictions, advice);
         source.used.push(path.to_owned());
         Ok(())
     }
@@ -350,6 +392,11 @@ impl Intrinsics {
             (Some(model), _) => refused(model, "it is unknown here"),
         }
     }
+}
+
+/// The number that a block of intrinsics has under a key.
+fn number(block: &Map<String, Value>, key: &str) -> Option<f64> {
+    block.get(key)?.as_f64()
 }
 
 /// Whether a value says that there is no such thing.
