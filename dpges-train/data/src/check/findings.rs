@@ -70,9 +70,12 @@ fn named(
     Some(Finding { kind, views: views.iter().map(|(_, view, _)| view.name.clone()).collect(), message, advice })
 }
 
+/// What is wrong with views, if anything is.
+type Judgement = fn(&[ViewFacts]) -> Option<Finding>;
+
 /// All that is wrong, from most to least important.
 pub(super) fn findings(views: &[ViewFacts], dataset: &Dataset) -> Vec<Finding> {
-    let judged = |judgements: &[fn(&[ViewFacts]) -> Option<Finding>]| -> Vec<Finding> {
+    let judged = |judgements: &[Judgement]| -> Vec<Finding> {
         judgements.iter().filter_map(|judgement| judgement(views)).collect()
     };
     let mut found: Vec<Finding> = one_place(views, dataset).into_iter().collect();
