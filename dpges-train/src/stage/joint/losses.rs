@@ -39,11 +39,11 @@ impl RenderedView<'_> {
 
 /// Those of 3DGS-MCMC; scales in extents, so that the unit of the dataset does not matter.
 fn opacity_and_scale(view: &RenderedView<'_>, losses: &mut Losses) -> Result<()> {
-    let (JointStage { sharding, shows_a_world, info, .. }, own) = (view.stage, view.own_gaussians);
-    if *shows_a_world && !sharding.is_empty() {
+    let (JointStage { sharding, held_down, info, .. }, own) = (view.stage, view.own_gaussians);
+    if *held_down > 0.0 && !sharding.is_empty() {
         let train = &view.context.config.train;
-        losses.add("opacity", sharding.mean(own.opacities.clone().abs()), train.lambda_opacity);
-        let weight = train.lambda_gaussian_scale / info.extent;
+        losses.add("opacity", sharding.mean(own.opacities.clone().abs()), held_down * train.lambda_opacity);
+        let weight = held_down * train.lambda_gaussian_scale / info.extent;
         losses.add("gaussian_scale", sharding.mean(own.log_scales.clone().exp()), weight);
     }
     Ok(())

@@ -50,6 +50,7 @@ fn gaussians_are_held_down_unless_the_background_is_given() {
     };
     assert!(terms(&[]) && terms(&["data.background=black", "model.environment=sh0"]));
     assert!(!terms(&["data.background=black"]));
+    assert!(!terms(&["train.steps=600"]), "200 passes over the photographs");
 }
 
 #[test]
