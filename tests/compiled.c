@@ -102,15 +102,19 @@ static VKAPI_ATTR VkResult VKAPI_CALL create_shader_module(VkDevice of, const Vk
     return result;
 }
 
-static VKAPI_ATTR VkResult VKAPI_CALL create_set_layout(VkDevice of, const VkDescriptorSetLayoutCreateInfo *info,
-                                                        const VkAllocationCallbacks *allocator, VkDescriptorSetLayout *made) {
-    VkResult result = NEXT(vkCreateDescriptorSetLayout)(of, info, allocator, made);
-    if (result != VK_SUCCESS) return result;
-    VkDescriptorSetLayout copy;
-    check(OF_CARD(vkCreateDescriptorSetLayout)(card_device, info, NULL, &copy), "vkCreateDescriptorSetLayout");
-    keep(*made, (uint64_t)copy, NULL);
-    return result;
-}
+// an object that refers to no other is made on the card as it is here
+#define COPIED(create, name)                                                                                                   \
+    static VKAPI_ATTR VkResult VKAPI_CALL create(VkDevice of, const Vk##name##CreateInfo *info,                                \
+                                                 const VkAllocationCallbacks *allocator, Vk##name *made) {                     \
+        VkResult result = NEXT(vkCreate##name)(of, info, allocator, made);                                                     \
+        if (result != VK_SUCCESS) return result;                                                                               \
+        Vk##name copy;                                                                                                         \
+        check(OF_CARD(vkCreate##name)(card_device, info, NULL, &copy), "vkCreate" #name);                                      \
+        keep(*made, (uint64_t)copy, NULL);                                                                                     \
+        return result;                                                                                                         \
+    }
+COPIED(create_set_layout, DescriptorSetLayout)
+COPIED(create_render_pass, RenderPass)
 
 static VKAPI_ATTR VkResult VKAPI_CALL create_layout(VkDevice of, const VkPipelineLayoutCreateInfo *info,
                                                     const VkAllocationCallbacks *allocator, VkPipelineLayout *made) {
@@ -122,16 +126,6 @@ static VKAPI_ATTR VkResult VKAPI_CALL create_layout(VkDevice of, const VkPipelin
     for (uint32_t i = 0; i < info->setLayoutCount; i++) sets[i] = (VkDescriptorSetLayout)there(info->pSetLayouts[i]);
     VkPipelineLayout copy;
     check(OF_CARD(vkCreatePipelineLayout)(card_device, &changed, NULL, &copy), "vkCreatePipelineLayout");
-    keep(*made, (uint64_t)copy, NULL);
-    return result;
-}
-
-static VKAPI_ATTR VkResult VKAPI_CALL create_render_pass(VkDevice of, const VkRenderPassCreateInfo *info,
-                                                         const VkAllocationCallbacks *allocator, VkRenderPass *made) {
-    VkResult result = NEXT(vkCreateRenderPass)(of, info, allocator, made);
-    if (result != VK_SUCCESS) return result;
-    VkRenderPass copy;
-    check(OF_CARD(vkCreateRenderPass)(card_device, info, NULL, &copy), "vkCreateRenderPass");
     keep(*made, (uint64_t)copy, NULL);
     return result;
 }

@@ -2,7 +2,7 @@
 
 use icu_normalizer::ComposingNormalizerBorrowed;
 
-/// What stands for bytes that are no UTF-8.
+/// The letter that a name has in place of bytes that are not UTF-8.
 pub const UNKNOWN: char = char::REPLACEMENT_CHARACTER;
 
 /// A path with `/` between its parts, its letters as one code point each (NFC) and in lower case: what other programs and

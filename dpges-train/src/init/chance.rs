@@ -39,7 +39,7 @@ pub fn without_random_points(dataset: Arc<Dataset>, config: &Config) -> Result<A
     Ok(Arc::new(Dataset { points: PointCloud::default(), ..(*dataset).clone() }))
 }
 
-/// What is wrong with points that no view is said to see, if photographs say nothing for them.
+/// Reports points without tracks that photographs do not confirm; `None` if there are none, or photographs confirm them.
 ///
 /// # Errors
 /// [`dpges_core::Error::Io`] if a photograph cannot be read again.

@@ -70,7 +70,7 @@ fn named(
     Some(Finding { kind, views: views.iter().map(|(_, view, _)| view.name.clone()).collect(), message, advice })
 }
 
-/// What is wrong with views, if anything is.
+/// Judges all views; `None` if nothing is wrong with them.
 type Judgement = fn(&[ViewFacts]) -> Option<Finding>;
 
 /// All that is wrong, from most to least important.
