@@ -115,6 +115,10 @@ pub enum DatasetError {
     )]
     CutShort { path: PathBuf, bytes: usize },
     #[error(
+        "image {path} is damaged, and only a part of it can be decoded ({reason}); copy it again, or remove the view"
+    )]
+    Damaged { path: PathBuf, reason: String },
+    #[error(
         "image {path} is {}x{} px, and its EXIF orientation {orientation} turns it to the {}x{} of its camera in {described_in}; \
          turn the pixels (`mogrify -auto-orient`), for what EXIF says is ignored",
         found[0], found[1], found[1], found[0]

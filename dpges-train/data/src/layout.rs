@@ -15,11 +15,13 @@ const TRANSFORMS: [(&str, &str); 4] =
 /// Ends of those of views that are held out, likewise.
 const HELD_OUT: [&str; 2] = ["_test", "_val"];
 /// Folders within a dataset, any of which may be named in its place.
-const PARTS: [&str; 10] =
-    ["images", "input", "sparse", "colmap", "dense", "distorted", "undistorted", "model", "text", "opensfm"];
+const PARTS: [&str; 11] =
+    ["images", "input", "sparse", "colmap", "dense", "distorted", "undistorted", "model", "text", "opensfm", SCANNET];
+/// Folder of the transforms of ScanNet++, beside that of the photographs.
+const SCANNET: &str = "nerfstudio";
 /// One of which is in a folder with cameras.
-const SIGNS: [&str; 7] =
-    ["sparse", "colmap", "cameras.bin", "cameras.txt", "transforms.json", "transforms_train.json", "opensfm"];
+const SIGNS: [&str; 8] =
+    ["sparse", "colmap", "cameras.bin", "cameras.txt", "transforms.json", "transforms_train.json", "opensfm", SCANNET];
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cameras {
@@ -113,15 +115,16 @@ impl Layout {
             places.into_iter().filter(|at| is_model(at)).partition(|at| in_sparse(at));
         let [sparse, elsewhere]: [Vec<PathBuf>; 2] =
             [sparse, elsewhere].map(|places| places.into_iter().filter_map(path_of).collect());
-        let transforms = |(name, end): (&str, &str)| {
-            let file = |end: &str| folder.get(&format!("{name}{end}.json")).cloned();
+        let transforms_in = |at: &str, (name, end): (&str, &str)| {
+            let file = |end: &str| folder.get(&format!("{at}{name}{end}.json")).cloned();
             Some(Cameras::Transforms { train: file(end)?, held_out: HELD_OUT.into_iter().find_map(file) })
         };
         let mut found: Vec<Cameras> = Vec::new();
         let has_sparse = !sparse.is_empty() || folder.root.join("sparse").is_dir();
         found.extend(has_sparse.then_some(Cameras::Colmap(sparse)));
-        found.extend(TRANSFORMS.into_iter().filter_map(transforms));
+        found.extend(TRANSFORMS.into_iter().filter_map(|name| transforms_in("", name)));
         found.extend((!elsewhere.is_empty()).then_some(Cameras::Colmap(elsewhere)));
+        found.extend(TRANSFORMS.into_iter().filter_map(|name| transforms_in(&format!("{SCANNET}/"), name)));
         if found.is_empty()
             && let Some((format, files)) = foreign::first(&folder, |at| is_apart(&folder, at))
         {

@@ -10,6 +10,7 @@ use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 use serde::{Deserialize, Serialize};
 
+use super::hash::Hash;
 use super::validation::Validation;
 use crate::config::{Config, StagePlan};
 use crate::optimizer::ParameterRows;
@@ -17,7 +18,9 @@ use crate::refine::growth::Growth;
 use crate::stage::{OWNERS, in_order, is_sharded};
 
 const FORMAT: &str = "dpges-checkpoint";
-const VERSION: &str = "5";
+const VERSION: &str = "6";
+/// Key of the [`Hash`] of all numbers in the metadata.
+const HASH: &str = "hash";
 /// Prefix of the names of columns in the file.
 const COLUMN: &str = "column/";
 /// Suffixes of the names of an attribute's tensors.
@@ -169,8 +172,9 @@ impl Checkpoint {
             (name.as_str(), TensorView::new(dtype, shape.to_vec(), bytes).expect("bytes fit the shape"))
         });
         let state = serde_json::to_string(&self.state).expect("the state is plain data");
+        let hash = hash_of(&state, arrays.iter().map(|(name, _, bytes)| (name.as_str(), &bytes[..])));
         let metadata = HashMap::from(
-            [("format", FORMAT), ("version", VERSION), ("progress", state.as_str())]
+            [("format", FORMAT), ("version", VERSION), ("progress", state.as_str()), (HASH, hash.as_str())]
                 .map(|(key, value)| (key.to_owned(), value.to_owned())),
         );
         container::serialize(views, metadata).expect("names are unique")
@@ -194,6 +198,19 @@ impl Checkpoint {
     }
 }
 
+/// Of the text `progress`, and of arrays by name in any order.
+fn hash_of<'a>(progress: &str, arrays: impl Iterator<Item = (&'a str, &'a [u8])>) -> String {
+    let mut arrays: Vec<_> = arrays.collect();
+    arrays.sort_unstable();
+    let mut hash = Hash::default();
+    hash.add(progress.as_bytes());
+    for (name, bytes) in arrays {
+        hash.add(name.as_bytes());
+        hash.add(bytes);
+    }
+    format!("{:016x}", hash.value())
+}
+
 fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| format!("not a whole safetensors file ({e})"))?;
     let metadata = header.metadata().clone().unwrap_or_default();
@@ -204,6 +221,10 @@ fn parse(bytes: &[u8]) -> Result<Checkpoint, String> {
     }
     let state: RunState = serde_json::from_str(text("progress")).map_err(|e| format!("progress: {e}"))?;
     let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not a whole safetensors file ({e})"))?;
+    let arrays = file.tensors();
+    if text(HASH) != hash_of(text("progress"), arrays.iter().map(|(name, view)| (name.as_str(), view.data()))) {
+        return Err("its numbers are not those that were written: the file is damaged".to_owned());
+    }
     let words = |name: &str| -> Result<([usize; 2], Vec<[u8; 4]>), String> {
         let view = file.tensor(name).map_err(|_| format!("tensor `{name}` is missing"))?;
         let shape = <[usize; 2]>::try_from(view.shape())

@@ -100,8 +100,9 @@ fn write_gzip(header: Header, streams: &Streams, said: &str) -> std::io::Result<
 
 fn write_zstd(header: Header, streams: &Streams, said: &str) -> std::io::Result<Vec<u8>> {
     let plain: Vec<&Vec<u8>> = streams.0.iter().filter(|stream| !stream.is_empty()).collect();
-    let compress = |stream: &&Vec<u8>| zstd::bulk::compress(stream, ZSTD_LEVEL);
-    let compressed = plain.iter().map(compress).collect::<std::io::Result<Vec<_>>>()?;
+    let mut compressor = zstd::bulk::Compressor::new(ZSTD_LEVEL)?;
+    compressor.set_parameter(zstd::zstd_safe::CParameter::ChecksumFlag(true))?;
+    let compressed = plain.iter().map(|stream| compressor.compress(stream)).collect::<std::io::Result<Vec<_>>>()?;
     let mut bytes = Header { flags: header.flags | HAS_EXTENSIONS, ..header }.bytes(4, plain.len() as u8);
     bytes.extend(((HEADER_LEN + 8 + said.len()) as u32).to_le_bytes());
     bytes.resize(HEADER_LEN, 0);
@@ -156,6 +157,8 @@ fn read_gzip(bytes: &[u8]) -> Result<File, String> {
             return Err(format!("it ends early: a stream has {read} of {len} bytes"));
         }
     }
+    // the checksum is at the end
+    std::io::copy(&mut decoder, &mut std::io::sink()).map_err(|error| format!("it is damaged ({error})"))?;
     let comment = decoder
         .header()
         .and_then(|header| header.comment())
@@ -184,10 +187,15 @@ fn read_zstd(bytes: &[u8]) -> Result<File, String> {
         }
         let packed = usize::try_from(packed).ok().filter(|&packed| packed <= rest.len());
         let (compressed, after) = rest.split_at(packed.ok_or(format!("stream {index} is truncated"))?);
-        let decoder = zstd::stream::read::Decoder::new(compressed).map_err(|error| error.to_string())?;
-        decoder.take(len).read_to_end(stream).map_err(|error| format!("stream {index}: {error}"))?;
+        let mut decoder = zstd::stream::read::Decoder::new(compressed).map_err(|error| error.to_string())?;
+        let failed = |error: std::io::Error| format!("stream {index}: {error}");
+        decoder.by_ref().take(len).read_to_end(stream).map_err(failed)?;
         if stream.len() as u64 != len {
             return Err(format!("stream {index} ends early"));
+        }
+        // the checksum is at the end
+        if decoder.read(&mut [0]).map_err(failed)? > 0 {
+            return Err(format!("stream {index} goes on behind its end"));
         }
         rest = after;
     }
@@ -309,6 +317,18 @@ mod tests {
         cloud.positions[0][1] = 9e6;
         let error = to_spz(&cloud, SpzVersion::Four).unwrap_err().to_string();
         assert!(error.contains("9.000e6") && error.contains("nearer to the origin"), "{error}");
+    }
+
+    #[test]
+    fn a_byte_that_differs_is_told() {
+        for version in VERSIONS {
+            let bytes = to_spz(&sample(50, 3), version).unwrap();
+            for at in (bytes.len() / 2..bytes.len()).step_by(7) {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= 0x10;
+                assert!(read(&damaged).is_err(), "{version:?}: byte {at} of {}", bytes.len());
+            }
+        }
     }
 
     #[test]

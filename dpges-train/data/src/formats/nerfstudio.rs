@@ -16,7 +16,7 @@ use crate::layout::Layout;
 use crate::{Format, LoadOptions};
 
 /// Held-out frames are, in this order of preference: `test_filenames` of the file `train`, its `val_filenames`, the frames of the
-/// file `held_out`, those that lists of names in the folder say, every n-th frame by name.
+/// file `held_out`, the `test_frames` of `train`, those that lists of names in the folder say, every n-th frame by name.
 ///
 /// # Errors
 /// [`crate::DatasetError`] from [`super::transforms`], and for a point cloud that cannot be read.
@@ -28,10 +28,14 @@ pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, optio
     let mut source = Source::new(format, train.to_owned(), "the file that lists held-out frames lists none that exist");
     transforms.add_frames(folder, train, Split::Train, &mut source)?;
     source.drop_twins()?;
+    let apart = match held_out {
+        Some(path) => Some((read_transforms(path)?, path)),
+        None => transforms.held_out().map(|frames| (frames, train)),
+    };
     if transforms.listed().iter().any(|list| list.is_some()) {
         split_as_listed(&transforms, train, layout, &mut source);
-    } else if let Some(path) = held_out {
-        read_transforms(path)?.add_frames(folder, path, Split::Test, &mut source)?;
+    } else if let Some((frames, path)) = apart {
+        frames.add_frames(folder, path, Split::Test, &mut source)?;
         // a view that is in both is held out
         source.frames.sort_by(|a, b| (&a.name, a.split == Split::Train).cmp(&(&b.name, b.split == Split::Train)));
         source.drop_twins()?;
@@ -168,6 +172,20 @@ mod tests {
         assert!(camera.fx > 12.0 / 0.5f64.tan() && camera.cx == 12.0, "{camera:?}");
         write(r#""k1": 90.0,"#);
         assert_refused(folder.path(), &LoadOptions::default(), &["transforms.json", "cannot be undone"]);
+    }
+
+    #[test]
+    fn scannet_holds_out_frames_in_the_file_and_has_its_pictures_beside_its_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        let frames: Vec<_> = (0..4).map(|i| frame(folder.path(), i, "").replace("images/", "")).collect();
+        let held_out = frame(folder.path(), 4, "").replace("images/", "");
+        std::fs::create_dir(folder.path().join("nerfstudio")).unwrap();
+        let file = folder.path().join("nerfstudio/transforms.json");
+        write_transforms(&file, &format!(r#"{GLOBAL}, "test_frames": [{held_out}]"#), &frames);
+        for named in [folder.path(), &folder.path().join("nerfstudio"), &file] {
+            let data = load(named, &LoadOptions::default()).unwrap();
+            assert_eq!((data.train.len(), data.test.len(), &data.test[0].name[..]), (4, 1, "04.png"), "{named:?}");
+        }
     }
 
     #[test]

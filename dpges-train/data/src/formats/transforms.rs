@@ -55,6 +55,9 @@ pub(crate) struct Transforms {
     val_filenames: Option<Vec<String>>,
     test_filenames: Option<Vec<String>>,
     frames: Vec<JsonFrame>,
+    /// Those that are held out (ScanNet++).
+    #[serde(default)]
+    test_frames: Vec<JsonFrame>,
     /// [`Intrinsics`] of all frames.
     #[serde(flatten)]
     intrinsics: Map<String, Value>,
@@ -108,9 +111,11 @@ fn parse(path: &Path, text: &str) -> Result<Transforms> {
         reason
             .map_or_else(|| not_json(path, text, &error), |reason| DatasetError::Json { path: path.to_owned(), reason })
     })?;
-    if let Some(index) = file.frames.iter().position(|frame| name(&frame.file_path).is_empty()) {
-        let what = format!("the `file_path` of frame {} of {}", index + 1, file.frames.len());
-        return Err(DatasetError::malformed(path, what, "empty", "the path of a photograph"));
+    for frames in [&file.frames, &file.test_frames] {
+        if let Some(index) = frames.iter().position(|frame| name(&frame.file_path).is_empty()) {
+            let what = format!("the `file_path` of frame {} of {}", index + 1, frames.len());
+            return Err(DatasetError::malformed(path, what, "empty", "the path of a photograph"));
+        }
     }
     Ok(file)
 }
@@ -160,6 +165,12 @@ impl Transforms {
     /// The pictures that the frames name.
     pub fn picture_names(&self) -> Vec<String> {
         self.frames.iter().map(|frame| name(&frame.file_path)).collect()
+    }
+
+    /// With the frames in place of its own that it holds out itself, if it does.
+    pub fn held_out(&self) -> Option<Self> {
+        let frames = self.test_frames.clone();
+        (!frames.is_empty()).then(|| Self { frames, ..self.clone() })
     }
 
     /// The lists of names of pictures to train on, to test on, and to validate on.

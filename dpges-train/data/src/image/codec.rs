@@ -8,7 +8,7 @@ use exif::{In, Tag};
 use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageReader, ImageResult};
 
 use super::alpha::Alpha;
-use super::resize;
+use super::{jpeg, resize};
 use crate::Picture;
 use crate::conventions::unread_format;
 use crate::error::{DatasetError, Result, read, unreadable};
@@ -129,11 +129,15 @@ pub(crate) fn decode(path: &Path, alpha: Alpha) -> Result<Picture> {
 /// The image in a file.
 ///
 /// # Errors
-/// [`DatasetError::Read`], [`DatasetError::Decode`], [`DatasetError::PictureFormat`], [`DatasetError::CutShort`].
+/// [`DatasetError::Read`], [`DatasetError::Decode`], [`DatasetError::PictureFormat`], [`DatasetError::CutShort`],
+/// [`DatasetError::Damaged`].
 pub(crate) fn decoded(path: &Path) -> Result<DynamicImage> {
     let bytes = read(path)?;
     check_format(path, &bytes)?;
     check_whole(path, &bytes)?;
+    if let Some(reason) = jpeg::damage(&bytes) {
+        return Err(DatasetError::Damaged { path: path.to_owned(), reason });
+    }
     let reader = ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(unreadable(path))?;
     reader.decode().map_err(|source| undecodable(path, source))
 }

@@ -5,6 +5,7 @@ pub(super) mod cache;
 pub(super) mod codec;
 pub(super) mod decoder;
 pub(super) mod depth;
+mod jpeg;
 pub(super) mod masks;
 pub(super) mod panorama;
 pub(super) mod photograph;
