@@ -28,13 +28,15 @@ pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, optio
     let mut source = Source::new(format, train.to_owned(), "the file that lists held-out frames lists none that exist");
     transforms.add_frames(folder, train, Split::Train, &mut source)?;
     source.drop_twins()?;
-    let apart = match held_out {
-        Some(path) => Some((read_transforms(path)?, path)),
-        None => transforms.held_out().map(|frames| (frames, train)),
+    let apart = || -> Result<_> {
+        Ok(match held_out {
+            Some(path) => Some((read_transforms(path)?, path)),
+            None => transforms.held_out().map(|frames| (frames, train)),
+        })
     };
     if transforms.listed().iter().any(|list| list.is_some()) {
         split_as_listed(&transforms, train, layout, &mut source);
-    } else if let Some((frames, path)) = apart {
+    } else if let Some((frames, path)) = apart()? {
         frames.add_frames(folder, path, Split::Test, &mut source)?;
         // a view that is in both is held out
         source.frames.sort_by(|a, b| (&a.name, a.split == Split::Train).cmp(&(&b.name, b.split == Split::Train)));

@@ -38,7 +38,7 @@ pub(super) fn damage(bytes: &[u8]) -> Option<String> {
     }
 }
 
-/// What the segments before a scan say.
+/// Size, components and tables, which segments before a scan give.
 #[derive(Default)]
 struct Reading {
     width: usize,
@@ -62,7 +62,7 @@ struct Component {
 struct Table {
     /// The first number of 16 bits that begins with a longer code.
     limits: [u32; 17],
-    /// What to subtract from a code for the index of its symbol.
+    /// A code minus this is the index of its symbol.
     offsets: [i32; 17],
     symbols: Vec<u8>,
 }
@@ -145,15 +145,21 @@ impl Bits<'_> {
         if coefficient > 64 { Err(Wrong::Code) } else { Ok(()) }
     }
 
-    /// The bytes before the next marker that no block has used.
-    fn left(&self) -> usize {
+    /// The bytes up to the next marker that are not in the buffer.
+    fn rest(&self) -> &[u8] {
         let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0 | 0xff);
         let rest = self.bytes.get(self.at..).unwrap_or_default();
-        self.count as usize / 8 + rest.windows(2).position(is_marker).unwrap_or(rest.len())
+        &rest[..rest.windows(2).position(is_marker).unwrap_or(rest.len())]
+    }
+
+    /// The number of bytes before the next marker that no block has used, without those that fill up.
+    fn left(&self) -> usize {
+        let data = self.rest().iter().rposition(|byte| !matches!(byte, 0 | 0xff)).map_or(0, |last| last + 1);
+        self.count as usize / 8 + data
     }
 }
 
-/// What is wrong with the data of a block.
+/// Faults of the data of a block.
 enum Wrong {
     /// There are none.
     End,
@@ -226,10 +232,7 @@ impl Reading {
                 if bits.left() > MOST_LEFT {
                     return Some(Err(format!("{} bytes of data are left before a restart", bits.left())));
                 }
-                bits.at += bits.left().saturating_sub(bits.count as usize / 8);
-                while bytes.get(bits.at + 1) == Some(&0xff) {
-                    bits.at += 1;
-                }
+                bits.at += bits.rest().len();
                 if matches!(bytes.get(bits.at + 1), Some(0xd0..=0xd7)) {
                     (bits.at, bits.count) = (bits.at + 2, 0);
                 }
@@ -287,6 +290,10 @@ mod tests {
             // without detail
             assert_eq!(damage(&jpeg(RgbImage::new(width, height))), None);
         }
+        // markers may have fill bytes before them (T.81, B.1.1.2), and some encoders pad
+        let whole = jpeg(RgbImage::from_fn(40, 40, noise));
+        let (data, end) = whole.split_at(whole.len() - 2);
+        assert_eq!([0, 0xff].map(|fill| damage(&[data, &[fill; 600], end].concat())), [None, None]);
         assert_eq!(damage(b"\x89PNG"), None);
         assert_eq!(damage(&[0xff, 0xd8, 0xff]), None);
     }
