@@ -1,6 +1,6 @@
 //! GPU kernels. Primitives are sorted by depth, so that ascending lists run front to back. Forward, one unit handles
-//! one pixel; backward, one cube handles one tile and then several units one primitive. In the order of rays lists are
-//! sorted for each tile, and `rays` resorts them for each pixel.
+//! one pixel; backward, one cube handles one tile, in `sorted` where its pixels share an order, and then several units one
+//! primitive. In the order of rays lists are sorted for each tile, and `rays` resorts them for each pixel.
 
 mod back;
 mod contributing;
@@ -11,6 +11,7 @@ mod hybrid;
 mod order;
 mod parameters;
 mod rays;
+mod sorted;
 
 use burn::backend::TensorMetadata;
 use burn::backend::tensor::IntTensor;
@@ -19,12 +20,13 @@ use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
 use self::fold::Layout;
-use self::fragments::{FEATURES, Fragment, Fragments, Payload, fragment, on_projected};
+use self::fragments::{FEATURES, Fragment, Fragments, Payload, Shape, on_projected};
 use self::gather::gather;
 use self::hybrid::blend_pixel;
 use self::rays::{PIXEL_STATE, walk_rays};
+use self::sorted::{end_planes, write_end};
 use super::autodiff::BlendState;
-use super::{BlendInput, BlendOps, BlendOptions, BlendOutput, ContributionOps, Form, far};
+use super::{BlendInput, BlendLists, BlendOps, BlendOptions, BlendOutput, ContributionOps, Form, far};
 use crate::backend::kept::Kept;
 use crate::backend::tape::BackwardState;
 use crate::camera::Camera;
@@ -188,7 +190,7 @@ fn blend_met(
     let mut position = 0u32;
     while position < end {
         let i = list.entry(ids, position) as usize;
-        let found = fragment(shapes, features, i, own.x, own.y, view, form);
+        let found = Shape::load(shapes, features, i, form).at(own.x, own.y, view);
         if found.weight > 0.0f32 {
             let goes_on = add_fragment(state, found, features, i, thresholds, maps);
             end = select(goes_on, end, position + thresholds.ends_behind);
@@ -207,6 +209,7 @@ fn blend_kernel(
     ids: &[u32],
     planes: &mut [f32],
     median_depth: &mut [f32],
+    ends: &mut [f32],
     view: CameraUniforms,
     thresholds: Thresholds,
     capacity: u32,
@@ -232,7 +235,7 @@ fn blend_kernel(
         } else if comptime!(form.is_projected()) {
             let mut staged = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * SPLAT));
             let mut masks = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
-            blend_projected(
+            let end = blend_projected(
                 &mut state,
                 &mut staged,
                 &mut masks,
@@ -246,8 +249,10 @@ fn blend_kernel(
                 form,
                 maps,
             );
+            write_end(ends, &state, end, view, tile, maps);
         } else {
-            blend_met(&mut state, shapes, features, list, ids, tile, view, thresholds, form, maps);
+            let end = blend_met(&mut state, shapes, features, list, ids, tile, view, thresholds, form, maps);
+            write_end(ends, &state, end, view, tile, maps);
         }
         write_pixel(&state, planes, median_depth, view, tile, maps);
     }
@@ -281,34 +286,57 @@ fn write_pixel(
     }
 }
 
+/// Whether all pixels of a tile blend its list in one order.
+fn is_shared(order: BlendOrder) -> bool {
+    matches!(order, BlendOrder::Centres | BlendOrder::Whitened(Transparency::Sorted))
+}
+
+/// Where the pixels of a view end [[`end_planes`], H, W], kept for the backward pass; nothing in orders that are not shared.
+struct Ends(CubeTensor);
+
+/// The planes, median depth, and where pixels end.
+fn blend_fragments(
+    fragments: &Fragments,
+    lists: &BlendLists<CubeBackend>,
+    camera: &Camera,
+    options: &BlendOptions,
+) -> (CubeTensor, CubeTensor, Ends) {
+    let (like, count) = (&fragments.features, lists.order.shape()[0]);
+    let (height, width) = (camera.height, camera.width);
+    let planes = empty_f32(like, [options.planes(), height, width]);
+    let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
+    let kept_planes = if is_shared(options.order) { end_planes(options.maps) } else { 0 };
+    let ends = empty_f32(like, [kept_planes, height, width]);
+    let shapes = if options.order == BlendOrder::Rays { fragments.by_rays() } else { &fragments.shapes };
+    blend_kernel::launch(
+        &like.client,
+        cubes(TileGrid::new(width, height).len()),
+        cube_dim(),
+        buffer(shapes),
+        buffer(&fragments.features),
+        buffer(&lists.offsets),
+        buffer(&lists.primitives),
+        buffer(&planes),
+        buffer(&median_depth),
+        buffer(&ends),
+        CameraUniforms::launch(camera),
+        Thresholds::launch(camera, options),
+        lists.primitives.shape()[0] as u32,
+        count as u32,
+        options.form,
+        options.order,
+        options.maps,
+    );
+    (planes, median_depth, Ends(ends))
+}
+
 impl BlendOps for CubeBackend {
-    fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions, _: Kept) -> BlendOutput<Self> {
+    fn blend(input: BlendInput<Self>, camera: Camera, options: BlendOptions, kept: Kept) -> BlendOutput<Self> {
         let gaussians = input.gaussians.contiguous();
-        let (like, count) = (&gaussians.positions, gaussians.positions.shape()[0]);
-        let (height, width) = (camera.height, camera.width);
         let degrees_of_freedom = floats(input.degrees_of_freedom);
         let (fragments, lists) = Fragments::new(&gaussians, &degrees_of_freedom, &camera, &options);
-        let planes = empty_f32(like, [options.planes(), height, width]);
-        let median_depth = empty_f32(like, [usize::from(options.maps), height, width]);
-        let shapes = if options.order == BlendOrder::Rays { fragments.by_rays() } else { &fragments.shapes };
-        blend_kernel::launch(
-            &like.client.clone(),
-            cubes(TileGrid::new(width, height).len()),
-            cube_dim(),
-            buffer(shapes),
-            buffer(&fragments.features),
-            buffer(&lists.offsets),
-            buffer(&lists.primitives),
-            buffer(&planes),
-            buffer(&median_depth),
-            CameraUniforms::launch(&camera),
-            Thresholds::launch(&camera, &options),
-            lists.primitives.shape()[0] as u32,
-            count as u32,
-            options.form,
-            options.order,
-            options.maps,
-        );
+        let (planes, median_depth, ends) = blend_fragments(&fragments, &lists, &camera, &options);
+        kept.put(ends);
         BlendOutput { planes, median_depth, lists }
     }
 }
@@ -323,13 +351,14 @@ impl ContributionOps for CubeBackend {
 
 impl BackwardState<CubeBackend, 7> for BlendState<CubeBackend> {
     fn backward(self, grad: CubeTensor) -> [Option<CubeTensor>; 7] {
-        let Self { input, lists, camera, options, .. } = self;
+        let Self { input, lists, camera, options, kept } = self;
         let (gaussians, grad) = (input.gaussians.contiguous(), floats(grad));
         let layout = Layout { form: options.form, maps: options.maps, probe: input.probe.shape()[0] > 0 };
         let degrees_of_freedom = floats(input.degrees_of_freedom);
         // footprints are made again, but not the order: depths are sorted once
         let (fragments, _) = Fragments::in_order(&gaussians, &degrees_of_freedom, &lists.order, &camera, &options);
-        let [sums, rest] = gather(&fragments, &lists, &grad, &camera, &options, layout);
+        let ends = kept.get_or(|| blend_fragments(&fragments, &lists, &camera, &options).2);
+        let [sums, rest] = gather(&fragments, &lists, &ends.0, &grad, &camera, &options, layout);
         parameters::backward(&gaussians, &sums, &rest, &camera, options.filter, layout).into_array().map(Some)
     }
 }

@@ -12,11 +12,11 @@ use crate::gpu::view::CameraUniforms;
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct PixelGrad {
-    colour: Vec3,
+    pub colour: Vec3,
     pub alpha: f32,
     /// This and the others are 0 without maps.
     depth: f32,
-    normal: Vec3,
+    pub normal: Vec3,
     distortion: f32,
 }
 
@@ -48,10 +48,10 @@ pub fn pixel_grad(grad: &[f32], pixel: usize, view: CameraUniforms, #[comptime] 
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
 pub struct Spread {
-    reference: f32,
-    total: f32,
-    first_moment: f32,
-    second_moment: f32,
+    pub reference: f32,
+    pub total: f32,
+    pub first_moment: f32,
+    pub second_moment: f32,
 }
 
 /// The sums of the pixel with this `state` behind its last fragment.
@@ -85,8 +85,8 @@ pub fn backward(
     payload: Payload,
     through: f32,
     behind: f32,
-    of: PixelGrad,
-    spread: Spread,
+    of: &PixelGrad,
+    spread: &Spread,
     thresholds: Thresholds,
     #[comptime] maps: bool,
 ) -> Back {

@@ -2,16 +2,17 @@
 
 use cubecl::prelude::*;
 
-use super::fragments::{FEATURES, LOW_PASS, LowPass, Payload, TAIL, TANGENTS, Tangents};
-use crate::footprint::gaussian::cube::student::{Tail, student_slopes};
-use crate::footprint::gaussian::cube::whitened::{WHITENED, WHITENED_SUMS, Whitened, add_whitened_sums};
-use crate::footprint::gaussian::cube::{SPLAT, Splat, add_moments};
+use super::back::{PixelGrad, pixel_grad};
+use super::fragments::{FEATURES, Payload, Shape, ShapeExpand, TANGENTS, Tangents};
+use crate::footprint::gaussian::cube::add_moments;
+use crate::footprint::gaussian::cube::student::student_slopes;
+use crate::footprint::gaussian::cube::whitened::{WHITENED_SUMS, add_whitened_sums};
 use crate::footprint::moments::MOMENTS;
-use crate::footprint::surfel::cube::{DISC_SUMS, DiscPixel, Hit, PLANE, Plane, add_sums};
+use crate::footprint::surfel::cube::{DISC_SUMS, DiscPixel, Hit, add_sums};
 use crate::gpu::gather::zeros;
-use crate::gpu::launch::{HALVINGS, UNITS};
+use crate::gpu::launch::UNITS;
 use crate::gpu::record::Record;
-use crate::gpu::tile::{Pixel, pixel_of, plane_of};
+use crate::gpu::tile::pixel_of;
 use crate::gpu::vector::scale;
 use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::Form;
@@ -94,13 +95,15 @@ pub fn list_in_band(offsets: &[u32], tile: u32, first_tile: u32) -> (TileList, u
     (TileList { start, length }, slot)
 }
 
-/// Makes the first of the `ends` [[`UNITS`]] of the pixels of a tile the largest. All units of the cube must call this together.
+/// Makes the first of the `ends` of the `units` of a cube, a power of two, the largest. All units of the cube must call this
+/// together.
 #[cube]
-pub fn find_furthest(ends: &mut [u32]) {
+pub fn find_furthest(ends: &mut [u32], #[comptime] units: u32) {
     let unit = UNIT_POS as usize;
+    let halvings = comptime!(units.ilog2());
     #[unroll]
-    for halving in 0..HALVINGS {
-        let step = comptime!((UNITS >> (halving + 1)) as usize);
+    for halving in 0..halvings {
+        let step = comptime!((units >> (halving + 1)) as usize);
         sync_cube();
         if unit < step {
             ends[unit] = max(ends[unit], ends[unit + step]);
@@ -111,25 +114,26 @@ pub fn find_furthest(ends: &mut [u32]) {
 /// A primitive as a pixel sees it.
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]
-struct Seen {
+pub struct Seen {
     /// Gradient of the exponent.
-    power: f32,
-    /// αT
-    covered: f32,
-    grad_depth: f32,
+    pub power: f32,
+    /// αT; below 0 of students that take their colour away
+    pub covered: f32,
+    pub grad_depth: f32,
     /// For a disc: 1 where its plane and not its low-pass decides, else 0.
-    by_plane: f32,
+    pub by_plane: f32,
 }
 
-/// Adds a pixel to the sums of primitive `i`, in the order of `layout`.
+/// Adds the pixel at (`x`, `y`) px with the gradient `of` its planes to the sums of primitive `i`, in the order of `layout`.
 #[cube]
-fn add_pixel(
+pub fn add_pixel(
     own: &mut Array<f32>,
-    shapes: &[f32],
+    shape: Shape,
     features: &[f32],
     i: usize,
-    grad: &[f32],
-    place: Pixel,
+    of: &PixelGrad,
+    x: f32,
+    y: f32,
     seen: Seen,
     view: CameraUniforms,
     #[comptime] layout: Layout,
@@ -138,88 +142,93 @@ fn add_pixel(
     let beside = comptime!(layout.shape() + layout.beside());
     let normal = comptime!(layout.shape() + layout.normal());
     let probe = comptime!(layout.shape() + layout.probe());
-    let (x, y, pixel, plane) = (place.x, place.y, place.at, plane_of(view));
     let (power, covered) = (seen.power, seen.covered);
     let (grad_depth, by_plane) = (seen.grad_depth, seen.by_plane);
-    own[rest] += covered * grad[pixel];
-    own[rest + 1] += covered * grad[pixel + plane];
-    own[rest + 2] += covered * grad[pixel + 2 * plane];
+    own[rest] += covered * of.colour.x;
+    own[rest + 1] += covered * of.colour.y;
+    own[rest + 2] += covered * of.colour.z;
     if comptime!(layout.maps) {
-        own[normal] += covered * grad[pixel + 5 * plane];
-        own[normal + 1] += covered * grad[pixel + 6 * plane];
-        own[normal + 2] += covered * grad[pixel + 7 * plane];
+        own[normal] += covered * of.normal.x;
+        own[normal + 1] += covered * of.normal.y;
+        own[normal + 2] += covered * of.normal.z;
     }
     let mut towards_x = 0.0f32;
     let mut towards_y = 0.0f32;
-    if comptime!(layout.form == Form::Whitened) {
-        let whitened = Whitened::load(shapes, i * WHITENED);
-        let ray_grad = whitened.pixel_backward(view, x, y, power, grad_depth);
-        add_whitened_sums(own, ray_grad, power);
-        own[beside] += ray_grad.depth;
-        if comptime!(layout.probe) {
-            let towards = scale(whitened.towards(ray_grad, view), 0.5f32);
-            own[probe] += towards.x;
-            own[probe + 1] += towards.y;
-            own[probe + 2] += towards.z;
-            own[probe + 3] += f32::abs(towards.x) + f32::abs(towards.y) + f32::abs(towards.z);
+    match shape {
+        Shape::Whitened(whitened) => {
+            let ray_grad = whitened.pixel_backward(view, x, y, power, grad_depth);
+            add_whitened_sums(own, ray_grad, power);
+            own[beside] += ray_grad.depth;
+            if comptime!(layout.probe) {
+                let towards = scale(whitened.towards(ray_grad, view), 0.5f32);
+                own[probe] += towards.x;
+                own[probe + 1] += towards.y;
+                own[probe + 2] += towards.z;
+                own[probe + 3] += f32::abs(towards.x) + f32::abs(towards.y) + f32::abs(towards.z);
+            }
         }
-    } else if comptime!(layout.form.is_projected()) {
-        let splat = Splat::load(shapes, i * SPLAT);
-        let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
-        let (u, v) = (splat.u(dx, dy), splat.r * dy);
-        // −2 times the gradient of r²
-        let mut pull = power;
-        if comptime!(layout.form == Form::Students) {
-            let tail = Tail::load(features, i * FEATURES + TAIL);
+        Shape::Ellipse(splat) => {
+            let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
+            let (u, v) = (splat.u(dx, dy), splat.r * dy);
+            add_moments(own, power, u, v);
+            own[beside] += grad_depth;
+            towards_x = power * splat.p * u;
+            towards_y = power * (splat.q * u + splat.r * v);
+        }
+        Shape::Student(splat, tail) => {
+            let (dx, dy) = (x - splat.mean_x, y - splat.mean_y);
+            let (u, v) = (splat.u(dx, dy), splat.r * dy);
             let (by_squared, by_degrees) = student_slopes(tail.degrees, u * u + v * v);
-            pull = power * by_squared;
+            // −2 times the gradient of r²
+            let pull = power * by_squared;
             own[beside + 1] += power * by_degrees;
             own[beside + 2] += power;
+            add_moments(own, pull, u, v);
+            own[beside] += grad_depth;
+            towards_x = pull * splat.p * u;
+            towards_y = pull * (splat.q * u + splat.r * v);
         }
-        add_moments(own, pull, u, v);
-        own[beside] += grad_depth;
-        towards_x = pull * splat.p * u;
-        towards_y = pull * (splat.q * u + splat.r * v);
-    } else {
-        let disc = Plane::load(shapes, i * PLANE);
-        let low_pass = LowPass::load(features, i * FEATURES + LOW_PASS);
-        let tangents = Tangents::load(features, i * FEATURES + TANGENTS);
-        let met = disc.hit(x, y);
-        let (dx, dy) = (x - disc.anchor_x, y - disc.anchor_y);
-        // far from the disc they may be infinite
-        let on_disc = by_plane > 0.5f32;
-        let hit = Hit {
-            u: select(on_disc, met.u, 0.0f32),
-            v: select(on_disc, met.v, 0.0f32),
-            depth: met.depth,
-            facing: met.facing,
-            kernel: met.kernel,
-        };
-        let on_way = DiscPixel {
-            hit,
-            across: dx / view.fx,
-            down: dy / view.fy,
-            scale_u: tangents.scale_u,
-            scale_v: tangents.scale_v,
-            power,
-            grad_depth,
-        };
-        let towards = add_sums(own, on_way, 1.0f32, true, layout.maps);
-        let on_screen = 2.0f32 * power * (1.0f32 - by_plane);
-        own[beside] += on_screen * (dx - low_pass.offset_x);
-        own[beside + 1] += on_screen * (dy - low_pass.offset_y);
-        own[beside + 2] += power;
-        if comptime!(layout.probe) {
-            // gradient of the centre in camera space, over fx and fy: that of T_u.z and T_v.z
-            let (ray_x, ray_y) = ((x - view.cx) / view.fx, (y - view.cy) / view.fy);
-            let (u, v) = (tangents.u, tangents.v);
-            let centre_x =
-                towards.x * (ray_y * v.z - v.y) + towards.y * (u.y - u.z * ray_y) + towards.z * (u.y * v.z - u.z * v.y);
-            let centre_y =
-                towards.x * (v.x - ray_x * v.z) + towards.y * (u.z * ray_x - u.x) + towards.z * (u.z * v.x - u.x * v.z);
-            let share = by_plane * Payload::load(features, i * FEATURES).depth;
-            towards_x = share * centre_x / view.fx;
-            towards_y = share * centre_y / view.fy;
+        Shape::Disc(disc, low_pass) => {
+            let tangents = Tangents::load(features, i * FEATURES + TANGENTS);
+            let met = disc.hit(x, y);
+            let (dx, dy) = (x - disc.anchor_x, y - disc.anchor_y);
+            // far from the disc they may be infinite
+            let on_disc = by_plane > 0.5f32;
+            let hit = Hit {
+                u: select(on_disc, met.u, 0.0f32),
+                v: select(on_disc, met.v, 0.0f32),
+                depth: met.depth,
+                facing: met.facing,
+                kernel: met.kernel,
+            };
+            let on_way = DiscPixel {
+                hit,
+                across: dx / view.fx,
+                down: dy / view.fy,
+                scale_u: tangents.scale_u,
+                scale_v: tangents.scale_v,
+                power,
+                grad_depth,
+            };
+            let towards = add_sums(own, on_way, 1.0f32, true, layout.maps);
+            let on_screen = 2.0f32 * power * (1.0f32 - by_plane);
+            own[beside] += on_screen * (dx - low_pass.offset_x);
+            own[beside + 1] += on_screen * (dy - low_pass.offset_y);
+            own[beside + 2] += power;
+            if comptime!(layout.probe) {
+                // gradient of the centre in camera space, over fx and fy: that of T_u.z and T_v.z
+                let (ray_x, ray_y) = ((x - view.cx) / view.fx, (y - view.cy) / view.fy);
+                let (u, v) = (tangents.u, tangents.v);
+                let centre_x = towards.x * (ray_y * v.z - v.y)
+                    + towards.y * (u.y - u.z * ray_y)
+                    + towards.z * (u.y * v.z - u.z * v.y);
+                let centre_y = towards.x * (v.x - ray_x * v.z)
+                    + towards.y * (u.z * ray_x - u.x)
+                    + towards.z * (u.z * v.x - u.x * v.z);
+                let share = by_plane * Payload::load(features, i * FEATURES).depth;
+                towards_x = share * centre_x / view.fx;
+                towards_y = share * centre_y / view.fy;
+            }
         }
     }
     if comptime!(layout.probe && layout.form != Form::Whitened) {
@@ -261,6 +270,7 @@ pub fn fold_entries(
     let mut own = zeros(width);
     if entry < entries {
         let i = list.entry(ids, top - 1u32 - entry) as usize;
+        let shape = Shape::load(shapes, features, i, layout.form);
         for step in 0..ENTRIES {
             let other = step * SHARE + member;
             let at = entry as usize * NUMBERS * UNITS as usize + other as usize;
@@ -275,7 +285,9 @@ pub fn fold_entries(
                     by_plane = 1.0f32;
                 }
                 let seen = Seen { power: partial[at], covered, grad_depth: partial[at + 2 * UNITS as usize], by_plane };
-                add_pixel(&mut own, shapes, features, i, grad, pixel_of(view, tile, other), seen, view, layout);
+                let place = pixel_of(view, tile, other);
+                let of = pixel_grad(grad, place.at, view, layout.maps);
+                add_pixel(&mut own, shape, features, i, &of, place.x, place.y, seen, view, layout);
             }
         }
     }

@@ -270,26 +270,43 @@ pub fn on_projected(
     }
 }
 
-/// Primitive `i` at the point (`x`, `y`) px.
+/// What of a primitive does not depend on the pixel.
+#[expect(dead_code, reason = "kernels make its expanded twin")]
+#[derive(CubeType, Clone, Copy)]
+#[expand(derive(Clone, Copy))]
+pub enum Shape {
+    Ellipse(Splat),
+    Student(Splat, Tail),
+    Disc(Plane, LowPass),
+    Whitened(Whitened),
+}
+
 #[cube]
-pub fn fragment(
-    shapes: &[f32],
-    features: &[f32],
-    i: usize,
-    x: f32,
-    y: f32,
-    view: CameraUniforms,
-    #[comptime] form: Form,
-) -> Fragment {
-    match form {
-        Form::Ellipsoids => on_ellipse(Splat::load(shapes, i * SPLAT), x, y),
-        Form::Students => on_student(Splat::load(shapes, i * SPLAT), Tail::load(features, i * FEATURES + TAIL), x, y),
-        Form::Discs => {
-            on_disc(Plane::load(shapes, i * PLANE), LowPass::load(features, i * FEATURES + LOW_PASS), x, y, view.near)
+impl Shape {
+    /// That of primitive `i`.
+    pub fn load(shapes: &[f32], features: &[f32], i: usize, #[comptime] form: Form) -> Shape {
+        match form {
+            Form::Ellipsoids => Shape::new_Ellipse(Splat::load(shapes, i * SPLAT)),
+            Form::Students => {
+                Shape::new_Student(Splat::load(shapes, i * SPLAT), Tail::load(features, i * FEATURES + TAIL))
+            }
+            Form::Discs => {
+                Shape::new_Disc(Plane::load(shapes, i * PLANE), LowPass::load(features, i * FEATURES + LOW_PASS))
+            }
+            Form::Whitened => Shape::new_Whitened(Whitened::load(shapes, i * WHITENED)),
         }
-        Form::Whitened => {
-            let (weight, depth) = Whitened::load(shapes, i * WHITENED).fragment(view, x, y);
-            Fragment { weight, depth, by_plane: 1.0f32 }
+    }
+
+    /// The primitive at the point (`x`, `y`) px.
+    pub fn at(self, x: f32, y: f32, view: CameraUniforms) -> Fragment {
+        match self {
+            Shape::Ellipse(splat) => on_ellipse(splat, x, y),
+            Shape::Student(splat, tail) => on_student(splat, tail, x, y),
+            Shape::Disc(plane, low_pass) => on_disc(plane, low_pass, x, y, view.near),
+            Shape::Whitened(whitened) => {
+                let (weight, depth) = whitened.fragment(view, x, y);
+                Fragment { weight, depth, by_plane: 1.0f32 }
+            }
         }
     }
 }

@@ -1,5 +1,4 @@
-//! Sums over the pixels of every primitive. One cube per tile goes front to back like the forward pass, then
-//! back to front, where a division by 1 − α recovers T. Every entry of the list of a tile has a slot for the
+//! Sums over the pixels of every primitive. Every entry of the list of a tile has a slot for the
 //! sums over the pixels of the tile, and slots are added in the order of the tiles. Where the slots of all tiles
 //! exceed the largest buffer, some tiles are handled after the others. In the order of rays, whose pixels go back by
 //! themselves, the slots are sums of what each says about each entry, and the tiles are handled as many at a time as there is
@@ -13,12 +12,12 @@ use burn_cubecl::CubeBackend;
 use burn_cubecl::tensor::CubeTensor;
 use cubecl::prelude::*;
 
-use super::back::{backward, pixel_grad, spread_of};
-use super::fold::{ENTRIES, GROUP, Layout, NUMBERS, find_furthest, fold_entries, list_in_band};
-use super::fragments::{FEATURES, Fragments, Payload, fragment};
+use super::fold::{ENTRIES, GROUP, Layout, NUMBERS, fold_entries, list_in_band};
+use super::fragments::Fragments;
 use super::hybrid::gather_mixed;
 use super::rays::{Said, replay, said_at, said_numbers};
-use super::{STATE, THROUGH, Thresholds, blend_met, blend_projected};
+use super::sorted::{WORKERS, gather_sorted_kernel};
+use super::{Thresholds, is_shared};
 use crate::camera::Camera;
 use crate::counters::transfers::{download, wait};
 use crate::error::Error;
@@ -26,19 +25,15 @@ use crate::gpu::gather::{lane, primitive, total, zeros};
 use crate::gpu::launch::{
     GATHERED, LANES, UNITS, buffer, cube_dim, cubes, empty_f32, empty_u32, gatherers, largest_buffer, units,
 };
-use crate::gpu::record::Record;
-use crate::gpu::tile::own_pixel;
 use crate::gpu::view::CameraUniforms;
 use crate::ops::blend::{BlendLists, BlendOptions};
 use crate::scene::{BlendOrder, Transparency};
 use crate::tiles::TileGrid;
-use crate::tiles::binning::cube::TileList;
 use crate::tiles::capacity::exceed;
 
-/// Sums over the pixels of each tile of a band for the entries of its list, in one order for all pixels of a tile or, of whitened
-/// Gaussians, in those of their cores.
+/// Sums over the pixels of each tile of a band for the entries of its list, in the order of the core of each pixel.
 #[cube(launch)]
-fn gather_kernel(
+fn gather_mixed_kernel(
     shapes: &[f32],
     features: &[f32],
     offsets: &[u32],
@@ -57,115 +52,10 @@ fn gather_kernel(
         terminate!();
     }
     let (list, slot) = list_in_band(offsets, tile, first_tile);
-    if comptime!(transparency == Transparency::Sorted) {
-        gather_sorted(sums, shapes, features, list, slot, ids, grad, tile, view, thresholds, layout);
-    } else {
-        gather_mixed(sums, shapes, features, list, slot, ids, grad, tile, view, thresholds, transparency, layout);
-    }
+    gather_mixed(sums, shapes, features, list, slot, ids, grad, tile, view, thresholds, transparency, layout);
 }
 
-/// [`gather_mixed`] where all pixels share the order of the list.
-#[cube]
-fn gather_sorted(
-    sums: &mut [f32],
-    shapes: &[f32],
-    features: &[f32],
-    list: TileList,
-    slot: u32,
-    ids: &[u32],
-    grad: &[f32],
-    tile: u32,
-    view: CameraUniforms,
-    thresholds: Thresholds,
-    #[comptime] layout: Layout,
-) {
-    let form = comptime!(layout.form);
-    let width = comptime!(layout.width());
-    let unit = UNIT_POS as usize;
-    let mut partial = Shared::<[f32]>::new_slice(comptime!(UNITS as usize * GROUP));
-    let mut ends = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
-
-    let place = own_pixel(view, tile);
-    let (x, y, pixel) = (place.x, place.y, place.at);
-
-    // front to back: T behind the last fragment, where the pixel ends, what distortion needs
-    let mut state = zeros(STATE);
-    state[THROUGH] = 1.0f32;
-    let end = if comptime!(form.is_projected()) {
-        let end = blend_projected(
-            &mut state,
-            &mut partial,
-            &mut ends,
-            shapes,
-            features,
-            list,
-            ids,
-            tile,
-            view,
-            thresholds,
-            form,
-            layout.maps,
-        );
-        sync_cube();
-        end
-    } else {
-        blend_met(&mut state, shapes, features, list, ids, tile, view, thresholds, form, layout.maps)
-    };
-    let mut through = state[THROUGH];
-    let spread = spread_of(&state);
-
-    ends[unit] = end;
-    find_furthest(&mut ends);
-    let furthest = workgroup_uniform_load(&ends[0]);
-
-    // back to front; derivative with respect to T behind the fragment that is next
-    let of = pixel_grad(grad, pixel, view, layout.maps);
-    let mut behind = -of.alpha;
-    let rounds = furthest.div_ceil(ENTRIES);
-    for round in 0..rounds {
-        let top = furthest - round * ENTRIES;
-        let entries = min(top, ENTRIES);
-        // what every pixel says about the entries
-        for entry in 0..ENTRIES {
-            let mut power = 0.0f32;
-            let mut covered = 0.0f32;
-            let mut grad_depth = 0.0f32;
-            let mut by_plane = 1.0f32;
-            // beyond the first entry of the list this is large
-            let position = top - 1u32 - entry;
-            if entry < entries && position < end {
-                let i = list.entry(ids, position) as usize;
-                let found = fragment(shapes, features, i, x, y, view, form);
-                if found.weight != 0.0f32 {
-                    let payload = Payload::load(features, i * FEATURES);
-                    let back = backward(found, payload, through, behind, of, spread, thresholds, layout.maps);
-                    power = back.power;
-                    covered = back.covered;
-                    grad_depth = back.grad_depth;
-                    by_plane = found.by_plane;
-                    through = back.through;
-                    behind = back.behind;
-                }
-            }
-            let at = entry as usize * NUMBERS * UNITS as usize + unit;
-            partial[at] = power;
-            // of discs below 0 where the low-pass filter decides; of students where α is below 0
-            partial[at + UNITS as usize] = select(by_plane > 0.5f32, covered, -covered);
-            partial[at + 2 * UNITS as usize] = grad_depth;
-        }
-        sync_cube();
-
-        fold_entries(&mut partial, sums, shapes, features, ids, grad, list, top, slot, tile, view, layout);
-    }
-    // entries behind the ends of all pixels
-    let mut at = furthest as usize * width + unit;
-    while at < list.length as usize * width {
-        sums[slot as usize * width + at] = 0.0f32;
-        at += UNITS as usize;
-    }
-}
-
-/// [`gather_sorted`] in the order of each pixel's own ray, of ellipsoids: what pixels say about the entries of a band of
+/// [`gather_mixed_kernel`] in the order of each pixel's own ray, of ellipsoids: what pixels say about the entries of a band of
 /// tiles is known.
 #[cube(launch)]
 fn gather_said_kernel(
@@ -310,10 +200,11 @@ fn bands(offsets: &CubeTensor, pairs: usize, tiles: usize, most: usize, width: u
 }
 
 /// Sums of the shape [M, [`Layout::shape`]] and the rest [M, [`Layout::rest`]] for the gradient `grad` [P, H, W].
-/// Rows are in the order of the parameters.
+/// Rows are in the order of the parameters. `ends` says where pixels end that share the order of the list.
 pub fn gather(
     fragments: &Fragments,
     lists: &BlendLists<CubeBackend>,
+    ends: &CubeTensor,
     grad: &CubeTensor,
     camera: &Camera,
     options: &BlendOptions,
@@ -336,7 +227,24 @@ pub fn gather(
     for band in bands(&lists.offsets, pairs, tiles, most, per_entry) {
         let [first_tile, end_tile] = [band.start, band.end].map(|tile| tile as u32);
         match &said {
-            None => gather_kernel::launch(
+            None if is_shared(options.order) => gather_sorted_kernel::launch(
+                &client,
+                cubes(band.len()),
+                CubeDim::new_1d(WORKERS),
+                buffer(&fragments.shapes),
+                buffer(&fragments.features),
+                buffer(&lists.offsets),
+                buffer(&lists.primitives),
+                buffer(grad),
+                buffer(ends),
+                buffer(&slots),
+                CameraUniforms::launch(camera),
+                Thresholds::launch(camera, options),
+                first_tile,
+                end_tile,
+                layout,
+            ),
+            None => gather_mixed_kernel::launch(
                 &client,
                 cubes(band.len()),
                 cube_dim(),

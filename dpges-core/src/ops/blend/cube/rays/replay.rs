@@ -85,7 +85,7 @@ fn replay_kernel(
     let unit = UNIT_POS as usize;
     let mut ends = Shared::<[u32]>::new_slice(comptime!(UNITS as usize));
     ends[unit] = u32::cast_from(state[END]);
-    find_furthest(&mut ends);
+    find_furthest(&mut ends, UNITS);
     if unit == 0 {
         said_ends[tile as usize] = ends[0];
     }
@@ -105,7 +105,7 @@ fn replay_kernel(
         let i = list.entry(ids, position) as usize;
         let found = on_ellipse(Splat::load(table, i * ROW), own.x, own.y);
         let payload = Payload::load(features, i * FEATURES);
-        let back = backward(found, payload, through, behind, of, spread, thresholds, maps);
+        let back = backward(found, payload, through, behind, &of, &spread, thresholds, maps);
         said[at] = back.power;
         said[at + comptime!(UNITS as usize)] = back.covered;
         if comptime!(maps) {
