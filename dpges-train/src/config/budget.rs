@@ -29,7 +29,7 @@ pub enum Budget {
 value!(
     Budget, "a whole number or a string", |value| value.is_integer() || value.is_str(),
     "pixels" => "One primitive per two different pixels of the training views, at least 16,384; views that share what they show count once.",
-    "auto" => "As many as improve the pictures of validation views (training views if there are fewer than 32), at most twice `pixels`.",
+    "auto" => "As many as improve the pictures of validation views (training views if there are fewer than 32), at most four times `pixels`.",
     "N" => "N surfels and Gaussians together.",
     "NMB" => "As many as a scene file of N million bytes holds with all lobes, not counting its header."
 );

@@ -45,6 +45,9 @@ const DEFAULT_VALIDATION_EVERY: usize = 8;
 /// Number of training views from which on some are kept for an automatic budget.
 const MANY_VIEWS: usize = 32;
 
+/// Most primitives of an automatic budget over those of the budget `pixels`, with which it begins.
+pub const AUTOMATIC_GROWTH: usize = 4;
+
 /// All keys, in the order in which they are documented.
 pub fn keys() -> impl Iterator<Item = &'static Key> {
     SECTIONS.iter().flat_map(|section| section.keys)
@@ -65,12 +68,12 @@ pub fn primitives_by_pixels(pixels: usize) -> usize {
 
 impl Config {
     /// Largest number of surfels and Gaussians together for training views of `pixels` px. An automatic budget is
-    /// limited to twice the budget `pixels`.
+    /// limited to [`AUTOMATIC_GROWTH`] times the budget `pixels`.
     pub fn most_primitives(&self, pixels: usize) -> usize {
         let by_pixels = primitives_by_pixels(pixels);
         match self.refine.budget {
             Budget::Pixels => by_pixels,
-            Budget::Auto => 2 * by_pixels,
+            Budget::Auto => AUTOMATIC_GROWTH * by_pixels,
             Budget::Primitives(count) => count,
             Budget::Megabytes(size) => primitives_for(MEGABYTE * size, self.scene_model(), SURFEL_SHARE).max(1),
         }

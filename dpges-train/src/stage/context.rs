@@ -10,7 +10,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{Budget, Config, StagePlan, Upwards, primitives_by_pixels};
+use crate::config::{AUTOMATIC_GROWTH, Budget, Config, StagePlan, Upwards, primitives_by_pixels};
 use crate::dataset::{Dataset, MOST_PREFETCHED, prefetch};
 use crate::device::place::Place;
 use crate::stage::TrainError;
@@ -93,7 +93,7 @@ impl Context {
         if plan.is_coarse {
             // more would be finer than its pixels
             let pixels = primitives_by_pixels(different_pixels(&self.dataset));
-            let automatic = if self.config.refine.budget == Budget::Auto { 2 } else { 1 };
+            let automatic = if self.config.refine.budget == Budget::Auto { AUTOMATIC_GROWTH } else { 1 };
             self.budget = self.budget.min(automatic * pixels);
         }
         self.place_cameras();
@@ -177,10 +177,10 @@ impl Context {
         }
     }
 
-    /// The budget whose shares stages before the joint one have. With an automatic budget that is `pixels`, half of the
-    /// largest number: growth beyond it is for validation views to decide.
+    /// The budget whose shares stages before the joint one have. With an automatic budget that is `pixels`: growth beyond it
+    /// is for validation views to decide.
     pub fn budget_before_growth(&self) -> usize {
-        if self.config.refine.budget == Budget::Auto { self.budget / 2 } else { self.budget }
+        if self.config.refine.budget == Budget::Auto { self.budget / AUTOMATIC_GROWTH } else { self.budget }
     }
 
     /// The largest number of primitives of a stage that may fill `share` of the budget.
