@@ -18,6 +18,10 @@ use crate::gpu::view::CameraUniforms;
 const PIXELS: usize = 4;
 pub const WORKERS: u32 = UNITS / PIXELS as u32;
 
+/// Additions of an iteration. Mesa's lavapipe ends a kernel's loops after 65,535 iterations of all of them together, which one
+/// for each addition would reach after a thousand entries.
+const UNROLLED: u32 = 16;
+
 /// Entries whose sums of `width` numbers are added up together.
 // 24 numbers of every unit take 6 KiB of workgroup memory: more would leave few subgroups at once to a processor
 fn entries_together(width: usize) -> usize {
@@ -172,9 +176,13 @@ pub fn gather_sorted_kernel(
         sync_cube();
         if unit < entries as usize * width {
             let mut sum = 0.0f32;
-            for step in 0..WORKERS {
-                // each unit begins at another bank of the memory
-                sum += partial[unit * WORKERS as usize + ((step + UNIT_POS) % WORKERS) as usize];
+            for part in 0..comptime!(WORKERS / UNROLLED) {
+                #[unroll]
+                for step in 0..UNROLLED {
+                    // each unit begins at another bank of the memory
+                    let of_unit = (part * UNROLLED + step + UNIT_POS) % WORKERS;
+                    sum += partial[unit * WORKERS as usize + of_unit as usize];
+                }
             }
             let position = top - 1u32 - (unit / width) as u32;
             sums[(slot + position) as usize * width + unit % width] = sum;
