@@ -270,7 +270,7 @@ pub fn on_projected(
     }
 }
 
-/// What of a primitive does not depend on the pixel.
+/// The part of a primitive that does not depend on the pixel.
 #[expect(dead_code, reason = "kernels make its expanded twin")]
 #[derive(CubeType, Clone, Copy)]
 #[expand(derive(Clone, Copy))]

@@ -51,7 +51,7 @@ pub fn write_end(
     let own = own_pixel(view, tile);
     if own.inside {
         let plane = plane_of(view);
-        // an f32 has every position of a list that fits its buffers
+        // an f32 counts the 2²⁴ first entries of a tile, as in the order of rays
         ends[own.at + END * plane] = f32::cast_from(end);
         ends[own.at + LEFT * plane] = state[THROUGH];
         if comptime!(maps) {
@@ -63,6 +63,7 @@ pub fn write_end(
     }
 }
 
+/// The sums of a pixel behind its last fragment, as [`write_end`] left them.
 #[cube]
 fn spread_at(ends: &[f32], pixel: usize, plane: usize, #[comptime] maps: bool) -> Spread {
     let mut spread = Spread { reference: 0.0f32, total: 0.0f32, first_moment: 0.0f32, second_moment: 0.0f32 };
@@ -75,7 +76,8 @@ fn spread_at(ends: &[f32], pixel: usize, plane: usize, #[comptime] maps: bool) -
     spread
 }
 
-/// Sums over the pixels of each tile of a band for the entries of its list, by [`WORKERS`] units; at most as many numbers an entry.
+/// Sums over the pixels of each tile of a band for the entries of its list. Cubes have [`WORKERS`] units, each of which adds up one
+/// number of an entry: no layout may be wider.
 #[cube(launch)]
 pub fn gather_sorted_kernel(
     shapes: &[f32],
