@@ -20,6 +20,11 @@ pub enum ExportError {
          nearer to the origin, or export another format"
     )]
     TooFar { found: f64, limit: f64 },
+    #[error(
+        "{resized} of {count} splats are smaller than {smallest:.3e} or larger than {largest:.3e} world units, the sizes that SPZ \
+         holds, and would get another: export SOG or PLY"
+    )]
+    Sizes { resized: usize, count: usize, smallest: f64, largest: f64 },
     #[error("{count} splats are more than the format can count, at most {limit}")]
     TooMany { count: usize, limit: usize },
     #[error("voxels of {voxel} world units are too small for this scene: it needs more than {limit}; use larger ones")]

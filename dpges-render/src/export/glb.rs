@@ -29,6 +29,10 @@ const F32: u32 = 5126;
 const VERTICES: u32 = 34962;
 const INDICES: u32 = 34963;
 
+/// Required extensions that change no number of an accessor, or that are read. Materials and textures colour no splat.
+const READ: [&str; 2] = ["KHR_gaussian_splatting", "KHR_mesh_quantization"];
+const OF_SURFACES: [&str; 2] = ["KHR_materials_", "KHR_texture_"];
+
 /// Says that a material has the colours that it shows, whatever lamps there are.
 const UNLIT: &str = "KHR_materials_unlit";
 
@@ -136,8 +140,14 @@ impl Gltf {
     pub fn read(bytes: &[u8], folder: &Path) -> Result<Self, String> {
         let (json, binary) = if bytes.starts_with(b"glTF") { parts(bytes)? } else { (bytes, None) };
         let document: Value = serde_json::from_slice(json).map_err(|error| format!("its JSON: {error}"))?;
-        let buffer = |buffer: &Value| match buffer["uri"].as_str() {
-            None => Ok(binary.unwrap_or_default().to_vec()),
+        let mut required = document["extensionsRequired"].as_array().into_iter().flatten().filter_map(Value::as_str);
+        let is_unknown = |name: &&str| !READ.contains(name) && !OF_SURFACES.iter().any(|of| name.starts_with(of));
+        if let Some(name) = required.find(is_unknown) {
+            return Err(format!("it requires the extension {name}, which cannot be read: write it without"));
+        }
+        let buffer = |(index, buffer): (usize, &Value)| match buffer["uri"].as_str() {
+            // only the first may be the one in the file
+            None => Ok(binary.filter(|_| index == 0).unwrap_or_default().to_vec()),
             Some(uri) => match uri.split_once(";base64,") {
                 Some((_, text)) => BASE64_STANDARD.decode(text).map_err(|error| format!("a buffer: {error}")),
                 None => {
@@ -146,7 +156,8 @@ impl Gltf {
                 }
             },
         };
-        let buffers = document["buffers"].as_array().into_iter().flatten().map(buffer).collect::<Result<_, _>>()?;
+        let buffers = document["buffers"].as_array().into_iter().flatten();
+        let buffers = buffers.enumerate().map(buffer).collect::<Result<_, _>>()?;
         Ok(Self { document, buffers })
     }
 
@@ -181,13 +192,14 @@ impl Gltf {
         let bytes = buffer.get(first..end).unwrap_or_default();
         let component = |at: usize| {
             let bytes = bytes.get(at..at + size)?;
-            Some(match kind {
-                I8 => (f32::from(bytes[0] as i8) / 127.0).max(-1.0),
-                U8 => f32::from(bytes[0]) / 255.0,
-                I16 => (f32::from(i16::from_le_bytes(bytes.try_into().ok()?)) / 32767.0).max(-1.0),
-                U16 => f32::from(u16::from_le_bytes(bytes.try_into().ok()?)) / 65535.0,
-                _ => f32::from_le_bytes(bytes.try_into().ok()?),
-            })
+            let (number, largest) = match kind {
+                I8 => (f32::from(bytes[0] as i8), f32::from(i8::MAX)),
+                U8 => (f32::from(bytes[0]), f32::from(u8::MAX)),
+                I16 => (f32::from(i16::from_le_bytes(bytes.try_into().ok()?)), f32::from(i16::MAX)),
+                U16 => (f32::from(u16::from_le_bytes(bytes.try_into().ok()?)), f32::from(u16::MAX)),
+                _ => return Some(f32::from_le_bytes(bytes.try_into().ok()?)),
+            };
+            Some(if accessor["normalized"] == true { (number / largest).max(-1.0) } else { number })
         };
         // as far as there are bytes: a count that lies must not take the memory
         let rows = (0..count).map_while(|row| {

@@ -1,5 +1,7 @@
 //! Shared parts of the readers of splats.
 
+use std::collections::BTreeSet;
+
 use glam::DVec3;
 
 use super::harmonics::{MAX_DEGREE, coefficient_count};
@@ -11,13 +13,15 @@ const LARGEST_DEGREE: usize = 4;
 const FAR: f64 = 100.0;
 
 /// Facts about a file besides its splats.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Notes {
     pub own: bool,
     /// Splats that were left out.
     pub not_finite: usize,
     /// Degree of harmonics that were left out above [`MAX_DEGREE`].
     pub degree: Option<usize>,
+    /// Sentences about what is read in another way than usual.
+    pub read_as: BTreeSet<&'static str>,
 }
 
 /// The degree to read of splats with `coefficients` above the base colour.

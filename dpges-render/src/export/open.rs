@@ -22,8 +22,8 @@ pub struct Opened {
     /// Whether the file says all of its scene, as ours do. Of splats of other programs only the filter is known; where they
     /// are seen from, what is up, and how far they reach is guessed.
     pub own: bool,
-    /// Sentences about what is left out of it.
-    pub left_out: Vec<String>,
+    /// Sentences about what is left out of it, or read in another way than usual.
+    pub remarks: Vec<String>,
 }
 
 /// Reads a scene file, or splats in PLY, SPZ, SOG or glTF.
@@ -47,7 +47,7 @@ pub fn open(path: &Path) -> Result<Opened> {
                 }
                 other => other,
             });
-            Ok(Opened { scene: scene?, own: true, left_out: Vec::new() })
+            Ok(Opened { scene: scene?, own: true, remarks: Vec::new() })
         }
     }
 }
@@ -74,7 +74,8 @@ pub fn read_splats(bytes: &[u8], folder: &Path) -> Option<std::result::Result<Op
             (notes.not_finite > 0).then(|| format!("{} splats that are not finite are left out", notes.not_finite));
         let degree =
             notes.degree.map(|degree| format!("harmonics of degree {degree} are left out above degree {MAX_DEGREE}"));
-        Ok(Opened { scene, own: notes.own, left_out: not_finite.into_iter().chain(degree).collect() })
+        let read_as = notes.read_as.into_iter().map(str::to_owned);
+        Ok(Opened { scene, own: notes.own, remarks: not_finite.into_iter().chain(degree).chain(read_as).collect() })
     }))
 }
 

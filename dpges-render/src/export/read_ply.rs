@@ -37,12 +37,7 @@ impl<'a> Rows<'a> {
             };
             let kind = if format == PlyFormat::Ascii { ScalarType::F64 } else { kind };
             numbers.push((stride, kind));
-            stride += match kind {
-                ScalarType::I8 | ScalarType::U8 => 1,
-                ScalarType::I16 | ScalarType::U16 => 2,
-                ScalarType::I32 | ScalarType::U32 | ScalarType::F32 => 4,
-                ScalarType::F64 => 8,
-            };
+            stride += size(kind);
         }
         let (len, kind) = (stride.saturating_mul(element.count), &element.name);
         let cut_short = || format!("it ends early: its {kind} has {len} bytes, {} are left", bytes.len());
@@ -95,6 +90,45 @@ impl<'a> Rows<'a> {
     }
 }
 
+fn size(kind: ScalarType) -> usize {
+    match kind {
+        ScalarType::I8 | ScalarType::U8 => 1,
+        ScalarType::I16 | ScalarType::U16 => 2,
+        ScalarType::I32 | ScalarType::U32 | ScalarType::F32 => 4,
+        ScalarType::F64 => 8,
+    }
+}
+
+/// What follows in `bytes` after `element`, which may have lists.
+fn after<'a>(element: &ElementDef, format: PlyFormat, bytes: &'a [u8]) -> Result<&'a [u8], String> {
+    let kind = |kind: ScalarType| if format == PlyFormat::Ascii { ScalarType::F64 } else { kind };
+    let cut_short = || format!("it ends early, in its {}", element.name);
+    let mut at = 0usize;
+    for _ in 0..element.count {
+        for property in &element.properties {
+            let bytes_there = match property.property_type {
+                PropertyType::Scalar(scalar) => size(kind(scalar)),
+                PropertyType::List { count_type, data_type } => {
+                    let count = kind(count_type);
+                    let first = bytes.get(at..).ok_or_else(cut_short)?;
+                    if first.len() < size(count) {
+                        return Err(cut_short());
+                    }
+                    let big_endian = format == PlyFormat::BinaryBigEndian;
+                    let rows =
+                        Rows { names: Vec::new(), numbers: vec![(0, count)], stride: 0, big_endian, bytes: first };
+                    size(count).saturating_add((rows.get(0, 0) as usize).saturating_mul(size(kind(data_type))))
+                }
+            };
+            at = at.saturating_add(bytes_there);
+        }
+        if at > bytes.len() {
+            return Err(cut_short());
+        }
+    }
+    Ok(&bytes[at..])
+}
+
 /// The header, and the rows after it; words of text as numbers of 64 bits.
 fn parts(bytes: &[u8]) -> Result<(PlyHeader, Cow<'_, [u8]>), String> {
     let header = PlyReader::from_reader(bytes).map_err(|error| error.to_string())?.header().clone();
@@ -119,10 +153,14 @@ pub(super) fn read_ply(bytes: &[u8]) -> Result<(SplatCloud, Notes), String> {
             "chunk" => &mut chunks,
             "sh" => &mut details,
             // nothing of splats follows
-            _ => break,
+            _ if vertices.is_some() => break,
+            _ => {
+                rest = after(element, header.format, rest)?;
+                continue;
+            }
         };
-        let (rows, after) = Rows::new(element, header.format, rest)?;
-        (*slot, rest) = (Some(rows), after);
+        let (rows, behind) = Rows::new(element, header.format, rest)?;
+        (*slot, rest) = (Some(rows), behind);
     }
     let vertices = vertices.ok_or("it has no element `vertex`")?;
     let comments = || header.comments.iter().map(|comment| comment.trim());
@@ -303,6 +341,23 @@ mod tests {
         let (read, notes) = read_ply(&to_ply(&spoilt, Coordinates::Scene)).unwrap();
         assert_eq!((read.len(), notes.not_finite), (2, 1));
         assert!(read_ply(&bytes[..bytes.len() - 5]).is_err());
+    }
+
+    #[test]
+    fn elements_before_the_splats_are_passed_over() {
+        let bytes = to_ply(&sample(3, 1), Coordinates::Scene);
+        let (expected, _) = read_ply(&bytes).unwrap();
+        let end = bytes.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
+        let before = "element face 2\nproperty list uchar int vertex_indices\nproperty short flags\nelement vertex";
+        let head = String::from_utf8(bytes[..end].to_vec()).unwrap().replace("element vertex", before);
+        let faces = [&[2u8][..], &[1; 8], &[7, 0], &[0], &[9, 0]].concat();
+        let read = |faces: &[u8]| read_ply(&[head.as_bytes(), faces, &bytes[end..]].concat());
+        assert_eq!(read(&faces).unwrap().0.positions, expected.positions);
+        let cut = [head.as_bytes(), &faces[..5]].concat();
+        assert!(read_ply(&cut).err().unwrap().contains("in its face"));
+        let words = "ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\nelement vertex 1\n\
+                     property float x\nend_header\n3 0 1 2\n5\n";
+        assert!(read_ply(words.as_bytes()).err().unwrap().contains("no splats"));
     }
 
     /// One splat by hand: in the middle of its chunk, a quarter of a turn about z, red, half opaque.

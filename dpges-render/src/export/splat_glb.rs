@@ -22,6 +22,9 @@ use crate::up::Up;
 const EXTENSION: &str = "KHR_gaussian_splatting";
 /// Mode of primitives.
 const POINTS: u32 = 0;
+/// Values of `colorSpace`.
+const DISPLAY: &str = "srgb_rec709_display";
+const LINEAR: &str = "lin_rec709_display";
 
 /// The bytes of the file of `cloud`, turned upright, and in metres, the unit of glTF, where it is known how long a world unit is.
 ///
@@ -57,7 +60,7 @@ pub fn to_glb(cloud: &SplatCloud) -> Result<Vec<u8>, ExportError> {
     }
     let kernel = json!({
         "kernel": "ellipse",
-        "colorSpace": "srgb_rec709_display",
+        "colorSpace": DISPLAY,
         "projection": "perspective",
         "sortingMethod": "cameraDistance",
     });
@@ -70,13 +73,13 @@ pub fn to_glb(cloud: &SplatCloud) -> Result<Vec<u8>, ExportError> {
 pub(super) fn read(bytes: &[u8], folder: &Path) -> Result<(SplatCloud, Notes), String> {
     let gltf = Gltf::read(bytes, folder)?;
     let said: Option<SceneInfo> = serde_json::from_value(gltf.document["asset"]["extras"][INFO].clone()).ok();
-    let notes = Notes { own: said.is_some(), ..Notes::default() };
+    let mut notes = Notes { own: said.is_some(), ..Notes::default() };
     let foreign =
         || SceneInfo { screen_filter: ScreenFilter::Plain, rendering: Rendering::Ellipsoids, ..SceneInfo::default() };
     let mut all = SplatCloud { info: said.unwrap_or_else(foreign), ..SplatCloud::default() };
     let scene = &gltf.document["scenes"][gltf.document["scene"].as_u64().unwrap_or(0) as usize];
     for root in scene["nodes"].as_array().into_iter().flatten() {
-        add_node(&gltf, root, DMat4::IDENTITY, 0, &mut all)?;
+        add_node(&gltf, root, DMat4::IDENTITY, 0, &mut all, &mut notes)?;
     }
     if all.is_empty() {
         return Err(format!("no node of its scene has splats ({EXTENSION})"));
@@ -90,7 +93,14 @@ pub(super) fn read(bytes: &[u8], folder: &Path) -> Result<(SplatCloud, Notes), S
 /// Deepest tree of nodes.
 const DEEPEST: usize = 64;
 
-fn add_node(gltf: &Gltf, index: &Value, above: DMat4, depth: usize, all: &mut SplatCloud) -> Result<(), String> {
+fn add_node(
+    gltf: &Gltf,
+    index: &Value,
+    above: DMat4,
+    depth: usize,
+    all: &mut SplatCloud,
+    notes: &mut Notes,
+) -> Result<(), String> {
     let node = &gltf.document["nodes"][index.as_u64().unwrap_or(u64::MAX) as usize];
     if depth > DEEPEST {
         return Err(format!("its nodes lie more than {DEEPEST} deep"));
@@ -114,13 +124,47 @@ fn add_node(gltf: &Gltf, index: &Value, above: DMat4, depth: usize, all: &mut Sp
             return Err(format!("its splats are packed by {packed}, which cannot be read"));
         }
         if splats.is_object() {
-            add(all, moved(primitive_splats(gltf, &primitive["attributes"])?, here)?)?;
+            let mut cloud = primitive_splats(gltf, &primitive["attributes"], notes)?;
+            match &splats["colorSpace"] {
+                Value::Null => {}
+                Value::String(space) if space == DISPLAY => {}
+                Value::String(space) if space == LINEAR => {
+                    to_display(&mut cloud);
+                    notes.read_as.insert(
+                        "its colours are linear (lin_rec709_display): they are converted, but splats in front of \
+                         one another are mixed as display-referred colours, which looks a little different",
+                    );
+                }
+                other => {
+                    return Err(format!("its splats have colorSpace {other}, expected \"{DISPLAY}\" or \"{LINEAR}\""));
+                }
+            }
+            add(all, moved(cloud, here)?)?;
         }
     }
-    node["children"].as_array().into_iter().flatten().try_for_each(|child| add_node(gltf, child, here, depth + 1, all))
+    let mut children = node["children"].as_array().into_iter().flatten();
+    children.try_for_each(|child| add_node(gltf, child, here, depth + 1, all, notes))
 }
 
-fn primitive_splats(gltf: &Gltf, attributes: &Value) -> Result<SplatCloud, String> {
+/// Encodes linear colours: the base exactly, what depends on the direction by the slope there.
+fn to_display(cloud: &mut SplatCloud) {
+    let len = cloud.harmonics_len();
+    for k in cloud.harmonics.chunks_exact_mut(len) {
+        for channel in 0..3 {
+            let linear = 0.5 + SH_C0 * f64::from(k[channel]);
+            let (display, slope) = if linear <= 0.003_130_8 {
+                (12.92 * linear, 12.92)
+            } else {
+                let power = linear.powf(1.0 / 2.4);
+                (1.055 * power - 0.055, 1.055 / 2.4 * power / linear)
+            };
+            k[channel] = ((display - 0.5) / SH_C0) as f32;
+            k.iter_mut().skip(3 + channel).step_by(3).for_each(|k| *k *= slope as f32);
+        }
+    }
+}
+
+fn primitive_splats(gltf: &Gltf, attributes: &Value, notes: &mut Notes) -> Result<SplatCloud, String> {
     let index = |name: &str| attributes.get(name).ok_or_else(|| format!("its splats have no attribute `{name}`"));
     let own = |name: &str| index(&format!("{EXTENSION}:{name}")).cloned();
     let names: Vec<Vec<String>> = (0..=MAX_DEGREE)
@@ -136,10 +180,16 @@ fn primitive_splats(gltf: &Gltf, attributes: &Value) -> Result<SplatCloud, Strin
     if let Some(other) = counts.into_iter().find(|&other| other != count) {
         return Err(format!("it has {count} positions and {other} values of another attribute"));
     }
+    let log_scales = if scales.as_flattened().iter().any(|&scale| scale < 0.0) {
+        notes.read_as.insert("scales are negative: they are read as logarithms, as drafts of the extension had them");
+        scales
+    } else {
+        scales.into_iter().map(|scales| scales.map(|scale| scale.max(f32::MIN_POSITIVE).ln())).collect()
+    };
     Ok(SplatCloud {
         positions,
         quaternions: rotations.into_iter().map(|[x, y, z, w]| [w, x, y, z]).collect(),
-        log_scales: scales.into_iter().map(|scales| scales.map(|scale| scale.max(f32::MIN_POSITIVE).ln())).collect(),
+        log_scales,
         opacities: opacities.into_iter().map(|[opacity]| opacity).collect(),
         degree,
         harmonics: (0..count).flat_map(|row| coefficients.iter().flat_map(move |k| k[row])).collect(),
@@ -260,5 +310,77 @@ mod tests {
         assert!(text(&document).err().unwrap().contains("evenly"));
         document["nodes"] = json!([{}]);
         assert!(text(&document).err().unwrap().contains(EXTENSION));
+    }
+
+    /// A file of `sample(2, 1)` that `edit` has changed, as text with its buffer.
+    fn edited(edit: impl FnOnce(&mut Value, &mut Vec<u8>)) -> Result<(SplatCloud, Notes), String> {
+        let gltf = Gltf::read(&to_glb(&sample(2, 1)).unwrap(), Path::new("nowhere")).unwrap();
+        let (mut document, mut buffer) = (gltf.document.clone(), gltf.buffer(0).to_vec());
+        edit(&mut document, &mut buffer);
+        let base64 = base64::Engine::encode(&base64::prelude::BASE64_STANDARD, buffer);
+        document["buffers"][0]["uri"] = json!(format!("data:application/octet-stream;base64,{base64}"));
+        read(&serde_json::to_vec(&document).unwrap(), Path::new("nowhere"))
+    }
+
+    /// Index of the accessor and first byte of the attribute `name`.
+    fn place(document: &Value, name: &str) -> (usize, usize) {
+        let index = document["meshes"][0]["primitives"][0]["attributes"][name].as_u64().unwrap() as usize;
+        (index, document["bufferViews"][index]["byteOffset"].as_u64().unwrap() as usize)
+    }
+
+    #[test]
+    fn integers_are_shares_of_their_range_only_if_they_say_so() {
+        let positions = |normalized: bool| {
+            let shorts = |document: &mut Value, buffer: &mut Vec<u8>| {
+                let (index, at) = place(document, "POSITION");
+                for (slot, value) in [0u16, 300, 65535, 1, 2, 3].into_iter().enumerate() {
+                    buffer[at + 2 * slot..][..2].copy_from_slice(&value.to_le_bytes());
+                }
+                document["accessors"][index]["componentType"] = json!(5123);
+                document["accessors"][index]["normalized"] = json!(normalized);
+                document["extensionsRequired"] = json!(["KHR_mesh_quantization", "KHR_materials_unlit"]);
+                document["asset"].as_object_mut().unwrap().remove("extras");
+            };
+            edited(shorts).unwrap().0.positions[0].map(|x| x.abs())
+        };
+        assert_eq!((positions(false), positions(true)[2]), ([0.0, 300.0, 65535.0], 1.0));
+    }
+
+    #[test]
+    fn what_the_extension_or_its_drafts_allow_is_read_with_a_remark_and_other_words_are_refused() {
+        let (plain, notes) = edited(|_, _| ()).unwrap();
+        assert!(notes.read_as.is_empty());
+        let (logarithms, notes) = edited(|document, buffer| {
+            let (_, at) = place(document, "KHR_gaussian_splatting:SCALE");
+            for slot in buffer[at..][..24].as_chunks_mut::<4>().0 {
+                *slot = f32::from_le_bytes(*slot).ln().to_le_bytes();
+            }
+        })
+        .unwrap();
+        let pairs = logarithms.log_scales.iter().flatten().zip(plain.log_scales.iter().flatten());
+        assert!(notes.read_as.len() == 1 && plain.log_scales[0][0] < 0.0);
+        pairs.for_each(|(found, expected)| assert!((found - expected).abs() < 1e-6, "{found} {expected}"));
+
+        let space = |name: &str| {
+            edited(|document, _| {
+                document["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["colorSpace"] = json!(name);
+            })
+        };
+        let (linear, notes) = space(LINEAR).unwrap();
+        assert_eq!(notes.read_as.len(), 1);
+        // (0.5 encoded − 0.5) / 0.2821 for grey, and the slope there
+        let mut grey = SplatCloud { degree: 1, harmonics: vec![0.0; 12], ..sample(1, 1) };
+        grey.harmonics[3..].fill(0.1);
+        to_display(&mut grey);
+        assert!((grey.harmonics[0] - 0.835).abs() < 1e-3 && (grey.harmonics[5] - 0.0659).abs() < 1e-4, "{grey:?}");
+        assert_ne!(linear.harmonics, plain.harmonics);
+        assert!(space("aces").err().unwrap().contains("aces"));
+        let packed = edited(|document, _| document["extensionsRequired"] = json!(["EXT_meshopt_compression"]));
+        assert!(packed.err().unwrap().contains("EXT_meshopt_compression"));
+        let second = edited(|document, _| {
+            document["buffers"].as_array_mut().unwrap().push(json!({ "byteLength": 4 }));
+            document["bufferViews"][0]["buffer"] = json!(1);
+        });
+        assert!(second.err().unwrap().contains("ends after 0 of 2"));
     }
 }

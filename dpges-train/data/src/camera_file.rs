@@ -50,6 +50,14 @@ mod tests {
             let (x, y, depth) = cameras[0].1.project(glam::DVec3::new(0.0, 1.0, 1.0)).unwrap();
             assert!((x - 14.0).abs() < 1e-9 && (y - 4.0).abs() < 1e-9 && (depth - 5.0).abs() < 1e-9, "{x} {y} {depth}");
         }
+        // as Blender's are: the size is that of the picture
+        let frames =
+            format!(r#"{{"camera_angle_x": 1.2, "frames": [{{"file_path": "./b", "transform_matrix": {matrix}}}]}}"#);
+        std::fs::write(file("transforms.json"), frames).unwrap();
+        let error = cameras(&file("transforms.json")).unwrap_err().to_string();
+        assert!(error.contains("transforms.json") && error.contains("no `w` and `h`"), "{error}");
+        image::RgbImage::new(40, 20).save(file("b.png")).unwrap();
+        assert_eq!(cameras(&file("transforms.json")).unwrap().unwrap()[0].1.width, 40);
         std::fs::write(file("path.json"), "[]").unwrap();
         assert!(cameras(&file("path.json")).unwrap().is_none());
     }

@@ -85,8 +85,8 @@ impl Scene {
         let folder = RunFolder::new(if path.is_dir() { path } else { path.parent().unwrap_or(path) });
         let is_run = folder.config().is_file() && folder.origin().is_file();
         let path = Self::check(path)?;
-        let export::Opened { scene, own, left_out } = export::open(&path)?;
-        left_out.iter().for_each(|text| tracing::warn!("{}: {text}", path.display()));
+        let export::Opened { scene, own, remarks } = export::open(&path)?;
+        remarks.iter().for_each(|text| tracing::warn!("{}: {text}", path.display()));
         let bytes = path.metadata().map_or(0, |metadata| metadata.len());
         Ok(Self { path, data: scene, bytes, run: is_run.then_some(folder), own, pinhole: false })
     }

@@ -8,6 +8,8 @@ use dpges_core::render::room::Drawn;
 use dpges_core::scene::{ColourData, ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
 use dpges_render::export::{MAX_DEGREE, Opened, flatten, open, to_harmonics};
 
+use glam::{DVec3, Vec3};
+
 use super::{Context, TrainError};
 use crate::config::stages::COARSE_FROM;
 use crate::config::{Blended, Density, GaussianStage, Relocation, StageKind, StagePlan, Stop};
@@ -16,6 +18,8 @@ use crate::config::{Blended, Density, GaussianStage, Relocation, StageKind, Stag
 pub const SURFELS_FROM: &str = "stages.surfels_from";
 /// Key of the file to take Gaussians from.
 pub const GAUSSIANS_FROM: &str = "stages.gaussians_from";
+/// Most primitives of such a file that are looked up in the training views.
+const MOST_LOOKED_UP: usize = 10_000;
 
 impl Context {
     /// Checks before the first step that there is all that `plan`, its losses and its decisions need.
@@ -156,10 +160,14 @@ impl Context {
         Ok(of(SURFELS_FROM)?.or(of(GAUSSIANS_FROM)?))
     }
 
+    fn given_path(&self, key: &str) -> &str {
+        let stages = &self.config.stages;
+        if key == SURFELS_FROM { &stages.surfels_from } else { &stages.gaussians_from }
+    }
+
     /// The scene in the file that `key` names, as it is there.
     fn given(&self, key: &'static str) -> Result<Option<Opened>, TrainError> {
-        let stages = &self.config.stages;
-        let path = if key == SURFELS_FROM { &stages.surfels_from } else { &stages.gaussians_from };
+        let path = self.given_path(key);
         if path.is_empty() {
             return Ok(None);
         }
@@ -191,13 +199,43 @@ impl Context {
         if fits { Ok(Some(opened)) } else { Err(wrong(format!("it is a scene of {rendering}, not of {what}"))) }
     }
 
+    /// Refuses the `scene` of `key` if no training view shows anything of it: it is probably in other coordinates.
+    fn check_is_seen(&self, key: &'static str, scene: SceneData) -> Result<(), TrainError> {
+        let SceneData { surfels, gaussians, .. } = scene.relocated(self.dataset.offset.to_array());
+        let positions = [surfels.positions, gaussians.positions].concat();
+        let positions = positions.as_chunks::<3>().0;
+        let mut sample = positions.iter().step_by(positions.len().div_ceil(MOST_LOOKED_UP).max(1)).peekable();
+        let is_seen = |at: &[f32; 3]| {
+            let at = Vec3::from_array(*at).as_dvec3();
+            self.dataset.train.iter().any(|view| view.camera.pixel(at).is_some())
+        };
+        if sample.peek().is_none() || sample.any(is_seen) {
+            return Ok(());
+        }
+        let along = |axis: usize| {
+            let of_axis = positions.iter().map(|at| at[axis]);
+            let (low, high) =
+                (of_axis.clone().fold(f32::INFINITY, f32::min), of_axis.fold(f32::NEG_INFINITY, f32::max));
+            format!("{} {low:.3} to {high:.3}", ["x", "y", "z"][axis])
+        };
+        let [x, y, z] = [0, 1, 2].map(along);
+        let centre = self.dataset.train.iter().map(|view| view.camera.centre()).sum::<DVec3>();
+        let centre = centre / self.dataset.train.len().max(1) as f64;
+        let reason = format!(
+            "no training view shows any of it: it has {x}, {y}, {z}, and the cameras are around {centre:.3}. Does it have other \
+             coordinates than the dataset?"
+        );
+        Err(TrainError::Pretrained { key, path: self.given_path(key).into(), reason })
+    }
+
     /// Says once of each file that takes the place of a stage what it leaves out, and which colours this run cannot hold.
     fn say_what_is_lost(&self) -> Result<(), TrainError> {
         let expected = self.config.model.colour;
         for key in [SURFELS_FROM, GAUSSIANS_FROM] {
-            let Some(Opened { scene, left_out, .. }) = self.given(key)? else { continue };
-            left_out.iter().for_each(|text| tracing::warn!("`{key}`: {text}"));
+            let Some(Opened { scene, remarks, .. }) = self.given(key)? else { continue };
+            remarks.iter().for_each(|text| tracing::warn!("`{key}`: {text}"));
             let found = scene.info.colour_model;
+            self.check_is_seen(key, scene)?;
             if found.without_opacity() != expected {
                 tracing::warn!(
                     "`{key}`: its colours are {found}, those of this run {expected}: they begin as near to them as can be (model.colour)"

@@ -24,7 +24,7 @@ use dpges_core::scene::{Rendering, SceneInfo, ScreenFilter};
 use flate2::read::GzDecoder;
 use flate2::{Compression, GzBuilder};
 
-use self::quantise::{Streams, fractional_bits};
+use self::quantise::{Streams, check_sizes, fractional_bits};
 use super::cloud::SplatCloud;
 use super::error::ExportError;
 use super::harmonics::coefficient_count;
@@ -73,13 +73,14 @@ impl Header {
 /// The bytes of the file of `cloud`, turned upright.
 ///
 /// # Errors
-/// [`ExportError::TooFar`] if a position does not fit, [`ExportError::TooMany`].
+/// [`ExportError::TooFar`] if a position does not fit, [`ExportError::Sizes`] if many sizes do not, [`ExportError::TooMany`].
 pub fn to_spz(cloud: &SplatCloud, version: SpzVersion) -> Result<Vec<u8>, ExportError> {
     let cloud = cloud.rotated(Up::of(&cloud.info).to_rub());
     let limit = i32::MAX as usize;
     let count = u32::try_from(cloud.len()).ok().filter(|_| cloud.len() <= limit);
     let count = count.ok_or(ExportError::TooMany { count: cloud.len(), limit })?;
     let fractional_bits = fractional_bits(&cloud)?;
+    check_sizes(&cloud)?;
     let flags = if cloud.info.screen_filter == ScreenFilter::Compensated { ANTIALIASED } else { 0 };
     let header = Header { count, degree: cloud.degree as u8, fractional_bits, flags };
     let (streams, said) = (Streams::of(&cloud, fractional_bits), all_of(&cloud.info));

@@ -15,6 +15,10 @@ const COLOUR_SCALE: f32 = 0.15;
 const LARGEST_ALPHA: f32 = 254.0;
 const LOG_SCALE_STEP: f32 = 1.0 / 16.0;
 const SMALLEST_LOG_SCALE: f32 = -10.0;
+/// What `u8::MAX` stands for.
+const LARGEST_LOG_SCALE: f32 = SMALLEST_LOG_SCALE + 255.0 * LOG_SCALE_STEP;
+/// Share of splats that may get another size: a few far away, or too small to be seen.
+const MOST_RESIZED: f64 = 0.01;
 /// Steps of the harmonics of degree 1 (5 bits) and above (4 bits), of 256.
 const HARMONIC_STEPS: [i32; 2] = [8, 16];
 /// Magnitude of the smaller components of a quaternion, 9 bits for 1/√2.
@@ -30,6 +34,18 @@ pub fn fractional_bits(cloud: &SplatCloud) -> Result<u8, ExportError> {
     let fits = |bits: &u8| (farthest * f64::from(1u32 << bits)).round() <= LARGEST_FIXED;
     let too_far = ExportError::TooFar { found: farthest, limit: LARGEST_FIXED };
     (0..=MOST_FRACTIONAL_BITS).rev().find(fits).ok_or(too_far)
+}
+
+/// Refuses splats that are mostly smaller or larger than what SPZ holds. Of the smallest only the largest axis counts: surfels
+/// are thinner than that.
+pub fn check_sizes(cloud: &SplatCloud) -> Result<(), ExportError> {
+    let fits = |[x, y, z]: &[f32; 3]| (SMALLEST_LOG_SCALE..=LARGEST_LOG_SCALE).contains(&x.max(*y).max(*z));
+    let resized = cloud.log_scales.iter().filter(|scales| !fits(scales)).count();
+    if resized as f64 > MOST_RESIZED * cloud.len() as f64 {
+        let [smallest, largest] = [SMALLEST_LOG_SCALE, LARGEST_LOG_SCALE].map(|log_scale| f64::from(log_scale).exp());
+        return Err(ExportError::Sizes { resized, count: cloud.len(), smallest, largest });
+    }
+    Ok(())
 }
 
 impl Streams {
@@ -139,12 +155,28 @@ fn unpack_quaternion(packed: u32) -> [f32; 4] {
 
 #[cfg(test)]
 mod tests {
+    use super::super::super::cloud::tests::sample;
     use super::*;
 
     #[test]
     fn harmonics_are_rounded_to_multiples_around_zero() {
         assert_eq!([0.0, 0.027, 0.032, -0.032, 2.0, -2.0].map(|k| harmonic(k, 8)), [128, 128, 136, 128, 255, 0]);
         assert_eq!(harmonic(0.5, 16), 192);
+    }
+
+    #[test]
+    fn sizes_that_do_not_fit_are_refused_unless_they_are_few() {
+        let with = |count: usize, scales: [f32; 3]| {
+            let mut cloud = sample(200, 0);
+            cloud.log_scales[..count].fill(scales);
+            check_sizes(&cloud)
+        };
+        for scales in [[-10.1, -12.0, -30.0], [0.0, 6.0, 0.0]] {
+            assert!(with(2, scales).is_ok());
+            let error = with(3, scales).unwrap_err().to_string();
+            assert!(error.contains("3 of 200") && error.contains("4.540e-5") && error.contains("SOG"), "{error}");
+        }
+        assert!(with(200, [-9.9, -12.0, -30.0]).is_ok());
     }
 
     #[test]

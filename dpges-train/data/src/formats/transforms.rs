@@ -4,7 +4,7 @@
 //! frames, intrinsics in a frame to that frame.
 
 use std::f64::consts::PI;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use dpges_core::camera::{Camera, CameraFromWorld, Distortion, Projection};
 use glam::{DMat3, DQuat, DVec3};
@@ -151,14 +151,22 @@ pub(crate) fn cameras(path: &Path) -> Result<Option<Vec<(String, Camera)>>> {
         return Ok(None);
     }
     let file = parse(path, &text)?;
-    let root = path.parent().unwrap_or(path);
-    let camera = |frame: &JsonFrame| {
-        let name = name(&frame.file_path);
+    let folder = Folder::read(path.parent().unwrap_or(path));
+    let names = file.picture_names();
+    let pictures = folder.pictures(&names.iter().map(String::as_str).collect::<Vec<_>>(), &[""]);
+    let camera = |((frame, name), picture): ((&JsonFrame, String), Option<PathBuf>)| {
         let (camera_from_world, _) = camera_from_world(path, &name, &frame.transform_matrix)?;
-        let (camera, _) = file.intrinsics_of(frame, path)?.camera(path, &name, &root.join(&name), camera_from_world)?;
+        let intrinsics = file.intrinsics_of(frame, path)?;
+        if picture.is_none() && (intrinsics.w.is_none() || intrinsics.h.is_none()) {
+            let reason =
+                format!("view `{name}` has no `w` and `h`, and its picture is not there: add its size in pixels");
+            return Err(DatasetError::Json { path: path.to_owned(), reason });
+        }
+        let picture = picture.unwrap_or_else(|| folder.root.join(&name));
+        let (camera, _) = intrinsics.camera(path, &name, &picture, camera_from_world)?;
         Ok((name, camera))
     };
-    file.frames.iter().map(camera).collect::<Result<_>>().map(Some)
+    file.frames.iter().zip(names).zip(pictures).map(camera).collect::<Result<_>>().map(Some)
 }
 
 impl Transforms {

@@ -242,6 +242,13 @@ fn plans_that_lack_something_are_refused_before_the_first_step() {
     assert!(error(&["train.stop=validation"]).contains("validation views"));
     let absent = error(&["stages.surfels_from=absent.safetensors"]);
     assert!(absent.contains("stages.surfels_from") && absent.contains("absent.safetensors"), "{absent}");
+    let mut scene = trainer(&["train.method=mcmc"]).scene();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("far.safetensors");
+    scene.info.offset = [5e6, 0.0, 0.0];
+    scene.save(&file).unwrap();
+    let far = error(&["train.method=mcmc", &format!("stages.gaussians_from={}", file.display())]);
+    assert!(far.contains("far.safetensors") && far.contains("no training view shows any of it"), "{far}");
 }
 
 #[test]
