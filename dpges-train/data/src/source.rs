@@ -147,8 +147,8 @@ impl Source {
         Ok(dataset)
     }
 
-    /// The dataset of a run, without the views that are kept for its decisions, every n-th of so many training views by
-    /// `validation_every`, and those of other blocks than the one in the file `block`; warns of what is wrong with it.
+    /// The dataset of a run, without the views that are kept for its decisions, every
+    /// `validation_every`th training view if that is not 0, and those of other blocks than the one in the file `block`; warns of what is wrong with it.
     ///
     /// # Errors
     /// [`SourceError`].
@@ -156,7 +156,7 @@ impl Source {
         &self,
         options: &LoadOptions,
         block: Option<&Path>,
-        validation_every: impl FnOnce(usize) -> usize,
+        validation_every: usize,
     ) -> Result<Dataset> {
         let mut dataset = self.load(options)?;
         if let Some(path) = block {
@@ -168,12 +168,12 @@ impl Source {
             report.notes.iter().for_each(|note| tracing::info!("{note}"));
             report.findings.iter().for_each(|finding| tracing::warn!("{finding}"));
         }
-        let every = validation_every(dataset.train.len());
-        dataset.keep_for_validation(every);
-        if every > 0 {
+        dataset.keep_for_validation(validation_every);
+        if validation_every > 0 {
             let (kept, left) = (dataset.validation.len(), dataset.train.len());
             if kept == 0 {
-                return Err(SourceError::TooFewForDecisions { dataset: self.to_string(), left, every });
+                let dataset = self.to_string();
+                return Err(SourceError::TooFewForDecisions { dataset, left, every: validation_every });
             }
             tracing::info!("{kept} training views are kept for decisions, {left} are trained on");
         }

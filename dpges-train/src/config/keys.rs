@@ -35,7 +35,7 @@ configuration! {
         /// Hold out every n-th view by name for testing if the dataset has no split of its own. 0 holds out none.
         test_every: usize = 8, unit: "views";
         /// Keep every n-th training view for validation, for `train.stop` and `refine.budget` to decide by. 0 keeps
-        /// every 8th if `train.stop = "validation"`, or of 32 and more if `refine.budget = "auto"`, and none otherwise.
+        /// every 8th if `train.stop = "validation"`, and none otherwise.
         validation_every: usize = 0, unit: "views";
         /// Most memory for photographs. Those beyond are read again from their files whenever they are needed, which takes
         /// time and changes nothing else.

@@ -36,7 +36,7 @@ impl Config {
     /// # Errors
     /// [`SourceError`].
     pub fn load_for_training(&self, source: &Source) -> Result<Dataset, SourceError> {
-        source.load_for_training(&self.data.load_options(), self.block(), |views| self.validation_every(views))
+        source.load_for_training(&self.data.load_options(), self.block(), self.validation_every())
     }
 }
 

@@ -42,8 +42,6 @@ pub const SMALLEST_BUDGET_BY_PIXELS: usize = 16_384;
 const SURFEL_SHARE: f64 = 0.1;
 /// Every how many-th training view is kept for validation by default.
 const DEFAULT_VALIDATION_EVERY: usize = 8;
-/// Number of training views from which on some are kept for an automatic budget.
-const MANY_VIEWS: usize = 32;
 
 /// Most primitives of an automatic budget over those of the budget `pixels`, with which it begins.
 pub const AUTOMATIC_GROWTH: usize = 4;
@@ -84,13 +82,11 @@ impl Config {
         self.train.method.alone().map_or(self.model.colour, |blended| blended.colour_model(self.model.colour))
     }
 
-    /// Every how many-th of `views` training views is kept for validation; 0: none. An automatic budget alone keeps none of
-    /// few views: the scene would lose more by their absence than it gains by their decisions.
-    pub fn validation_every(&self, views: usize) -> usize {
-        let decides =
-            self.train.stop == Stop::Validation || (self.refine.budget == Budget::Auto && views >= MANY_VIEWS);
+    /// Every how many-th training view is kept for validation; 0: none. An automatic budget alone keeps none: the scene would
+    /// lose more by their absence than it gains by their decisions.
+    pub fn validation_every(&self) -> usize {
         match self.data.validation_every {
-            0 if decides => DEFAULT_VALIDATION_EVERY,
+            0 if self.train.stop == Stop::Validation => DEFAULT_VALIDATION_EVERY,
             every => every,
         }
     }

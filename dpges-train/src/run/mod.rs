@@ -186,7 +186,7 @@ impl Run {
 }
 
 fn with_validation(mut data: Arc<Dataset>, config: &Config) -> Arc<Dataset> {
-    let every = config.validation_every(data.train.len());
+    let every = config.validation_every();
     if every > 0 && data.validation.is_empty() {
         Arc::make_mut(&mut data).keep_for_validation(every);
     }

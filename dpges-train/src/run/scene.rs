@@ -185,12 +185,12 @@ impl Scene {
         self.run.as_ref().map(RunFolder::config)
     }
 
-    /// Every how many-th of the `views` training views of the dataset the run that the scene comes from kept for its
-    /// decisions: 0 if it kept none, or if the dataset is another one, `data`.
-    fn validation_every(&self, data: Option<&Path>, views: usize) -> usize {
+    /// Every how many-th training view of the dataset the run that the scene comes from kept for its decisions: 0 if it kept
+    /// none, or if the dataset is another one, `data`.
+    fn validation_every(&self, data: Option<&Path>) -> usize {
         let file = self.run_config().filter(|_| self.is_own(data));
         let config = file.and_then(|file| Config::resolve(None, Some(&file), &[]).ok());
-        config.map_or(0, |config| config.validation_every(views))
+        config.map_or(0, |config| config.validation_every())
     }
 
     /// Sets the background and what is up as `options` ask for.
@@ -248,8 +248,7 @@ impl Scene {
         };
         let mut dataset = source.load(&config.load_options())?;
         refine(&mut dataset.train, &self.refined_poses(data)?);
-        let views = dataset.train.len();
-        dataset.keep_for_validation(if apart { self.validation_every(data, views) } else { 0 });
+        dataset.keep_for_validation(if apart { self.validation_every(data) } else { 0 });
         self.learn_from(&dataset);
         let offset = dataset.offset;
         for view in dataset.train.iter_mut().chain(&mut dataset.test).chain(&mut dataset.validation) {

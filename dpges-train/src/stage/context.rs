@@ -178,7 +178,7 @@ impl Context {
     }
 
     /// The budget whose shares stages before the joint one have. With an automatic budget that is `pixels`: growth beyond it
-    /// is for validation views to decide.
+    /// is decided by views.
     pub fn budget_before_growth(&self) -> usize {
         if self.config.refine.budget == Budget::Auto { self.budget / AUTOMATIC_GROWTH } else { self.budget }
     }

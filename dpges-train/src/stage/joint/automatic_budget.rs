@@ -1,4 +1,4 @@
-//! The decisions of an automatic budget, by validation views or, without any, training views: how long the scene grows, how many layers it peels, and which
+//! The decisions of an automatic budget, by validation views or, without any, by training views: how long the scene grows, how many layers it peels, and which
 //! lobes it does without.
 
 use std::sync::Arc;
