@@ -99,12 +99,14 @@ fn size(kind: ScalarType) -> usize {
     }
 }
 
-/// What follows in `bytes` after `element`, which may have lists.
+/// The `bytes` behind `element`, whose properties may be lists.
 fn after<'a>(element: &ElementDef, format: PlyFormat, bytes: &'a [u8]) -> Result<&'a [u8], String> {
     let kind = |kind: ScalarType| if format == PlyFormat::Ascii { ScalarType::F64 } else { kind };
     let cut_short = || format!("it ends early, in its {}", element.name);
     let mut at = 0usize;
-    for _ in 0..element.count {
+    // rows of nothing have no end to look for, however many there are
+    let rows = if element.properties.is_empty() { 0 } else { element.count };
+    for _ in 0..rows {
         for property in &element.properties {
             let bytes_there = match property.property_type {
                 PropertyType::Scalar(scalar) => size(kind(scalar)),
@@ -355,6 +357,8 @@ mod tests {
         assert_eq!(read(&faces).unwrap().0.positions, expected.positions);
         let cut = [head.as_bytes(), &faces[..5]].concat();
         assert!(read_ply(&cut).err().unwrap().contains("in its face"));
+        let nothing = head.replace("element face 2", "element nothing 18000000000000000000\nelement face 2");
+        assert_eq!(read_ply(&[nothing.as_bytes(), &faces, &bytes[end..]].concat()).unwrap().0.len(), 3);
         let words = "ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\nelement vertex 1\n\
                      property float x\nend_header\n3 0 1 2\n5\n";
         assert!(read_ply(words.as_bytes()).err().unwrap().contains("no splats"));

@@ -22,6 +22,8 @@ use crate::up::Up;
 const EXTENSION: &str = "KHR_gaussian_splatting";
 /// Mode of primitives.
 const POINTS: u32 = 0;
+/// 1, and what rounding may add to it.
+const LARGEST_OPACITY: f32 = 1.001;
 /// Values of `colorSpace`.
 const DISPLAY: &str = "srgb_rec709_display";
 const LINEAR: &str = "lin_rec709_display";
@@ -175,6 +177,11 @@ fn primitive_splats(gltf: &Gltf, attributes: &Value, notes: &mut Notes) -> Resul
     let coefficients = coefficients.collect::<Result<Vec<_>, String>>()?;
     let (positions, opacities) = (gltf.numbers::<3>(index("POSITION")?)?, gltf.numbers::<1>(&own("OPACITY")?)?);
     let (rotations, scales) = (gltf.numbers::<4>(&own("ROTATION")?)?, gltf.numbers::<3>(&own("SCALE")?)?);
+    if let Some([opacity]) = opacities.iter().find(|[opacity]| !(0.0..=LARGEST_OPACITY).contains(opacity)) {
+        return Err(format!(
+            "OPACITY of a splat is {opacity}, expected 0 to 1 (logits, or integers that are not `normalized`?)"
+        ));
+    }
     let count = positions.len();
     let counts = [opacities.len(), rotations.len(), scales.len()].into_iter().chain(coefficients.iter().map(Vec::len));
     if let Some(other) = counts.into_iter().find(|&other| other != count) {
@@ -375,6 +382,11 @@ mod tests {
         assert!((grey.harmonics[0] - 0.835).abs() < 1e-3 && (grey.harmonics[5] - 0.0659).abs() < 1e-4, "{grey:?}");
         assert_ne!(linear.harmonics, plain.harmonics);
         assert!(space("aces").err().unwrap().contains("aces"));
+        let logit = edited(|document, buffer| {
+            let (_, at) = place(document, "KHR_gaussian_splatting:OPACITY");
+            buffer[at..][..4].copy_from_slice(&(-2f32).to_le_bytes());
+        });
+        assert!(logit.err().unwrap().contains("OPACITY of a splat is -2"));
         let packed = edited(|document, _| document["extensionsRequired"] = json!(["EXT_meshopt_compression"]));
         assert!(packed.err().unwrap().contains("EXT_meshopt_compression"));
         let second = edited(|document, _| {

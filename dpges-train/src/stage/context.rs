@@ -177,8 +177,8 @@ impl Context {
         }
     }
 
-    /// The budget whose shares stages before the joint one have. With an automatic budget that is `pixels`: growth beyond it
-    /// is decided by views.
+    /// The budget whose shares stages before the joint one have. With an automatic budget that is `pixels`: views decide
+    /// about growth beyond it.
     pub fn budget_before_growth(&self) -> usize {
         if self.config.refine.budget == Budget::Auto { self.budget / AUTOMATIC_GROWTH } else { self.budget }
     }

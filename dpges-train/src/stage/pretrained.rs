@@ -7,7 +7,6 @@ use dpges_core::ops::blend::Form;
 use dpges_core::render::room::Drawn;
 use dpges_core::scene::{ColourData, ColourModel, GaussianData, Rendering, SceneData, SceneInfo, SurfelData};
 use dpges_render::export::{MAX_DEGREE, Opened, flatten, open, to_harmonics};
-
 use glam::{DVec3, Vec3};
 
 use super::{Context, TrainError};
