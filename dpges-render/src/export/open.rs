@@ -26,7 +26,7 @@ pub struct Opened {
     pub remarks: Vec<String>,
 }
 
-/// Reads a scene file, or splats in PLY, SPZ, SOG or glTF.
+/// Reads a scene file, or splats in PLY, SPZ, SOG (a `meta.json` too) or glTF.
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::SceneFile`] names the path and the reason.
@@ -52,12 +52,14 @@ pub fn open(path: &Path) -> Result<Opened> {
     }
 }
 
-/// The scene of splats in the bytes of a file; `None` if they are no splats in PLY, SPZ, SOG or glTF. glTF may name files in `folder`.
+/// The scene of splats in the bytes of a file; `None` if they are no splats in PLY, SPZ, SOG or glTF. glTF and a `meta.json`
+/// of SOG may name files in `folder`.
 pub fn read_splats(bytes: &[u8], folder: &Path) -> Option<std::result::Result<Opened, String>> {
     let read = match bytes {
         [b'p', b'l', b'y', b'\n' | b'\r', ..] => read_ply(bytes),
         [0x1f, 0x8b, ..] | [b'N', b'G', b'S', b'P', ..] => spz::read(bytes),
         [b'P', b'K', 3, 4, ..] => sog::read(bytes),
+        [b'{', ..] if sog::is_meta(bytes) => sog::read_unbundled(bytes, folder),
         [b'g', b'l', b'T', b'F', ..] | [b'{', ..] => splat_glb::read(bytes, folder),
         _ => return None,
     };

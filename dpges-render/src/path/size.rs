@@ -11,6 +11,9 @@ pub struct Size {
     pub height: usize,
 }
 
+/// Most pixels of a picture: what it takes to draw it is a few hundred times as many bytes.
+const MOST_PX: usize = 1 << 27;
+
 impl FromStr for Size {
     type Err = String;
 
@@ -19,6 +22,13 @@ impl FromStr for Size {
         text.split_once('x')
             .and_then(|(width, height)| Some(Self { width: parse(width)?, height: parse(height)? }))
             .ok_or_else(|| format!("`{text}` is no size: write WIDTHxHEIGHT in px, as in 1920x1080"))
+            .and_then(|size| {
+                let is_drawable = size.width.checked_mul(size.height).is_some_and(|area| area <= MOST_PX);
+                let most = MOST_PX >> 20;
+                is_drawable
+                    .then_some(size)
+                    .ok_or_else(|| format!("{text} are more than {most} million pixels: draw parts"))
+            })
     }
 }
 
@@ -53,6 +63,10 @@ mod tests {
         assert_eq!("1920x1080".parse(), Ok(Size { width: 1920, height: 1080 }));
         for text in ["1920", "0x4", "4x", "axb", "4x-1"] {
             assert!(text.parse::<Size>().unwrap_err().contains("1920x1080"), "{text}");
+        }
+        assert!("16384x8192".parse::<Size>().is_ok());
+        for text in ["100000x100000", "18446744073709551615x2"] {
+            assert!(text.parse::<Size>().unwrap_err().contains("128 million pixels"), "{text}");
         }
     }
 

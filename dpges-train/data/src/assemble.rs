@@ -24,7 +24,7 @@ use super::names::{in_folder, listing};
 use super::near_plane::near_plane;
 use super::reprojection;
 use super::world::{drop_lost, mean_and_extent};
-use super::{Dataset, Format, LoadOptions, PointCloud, Tracks, inventory, panoramas};
+use super::{Dataset, Format, LoadOptions, PointCloud, Tracks, View, inventory, panoramas};
 
 /// Distance of the cameras from the origin, in extents, beyond which the world is moved there. f32 has 24 bits: at
 /// 100 extents positions are rounded to 100 · 2⁻²⁴ = 6·10⁻⁶ extents, a fraction of a pixel.
@@ -72,7 +72,7 @@ pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOption
     if options.depth.is_some() {
         check_depth(root, &source)?;
     }
-    let has_alpha = look_at(&mut source)?;
+    let with_alpha = look_at(&mut source)?;
     let mut notices = std::mem::take(&mut source.notices);
     let what = "photographs are missing, and their views left out";
     notices.add_files(Kind::Missing, what, root, &source.missing, "restore the files if they should be there");
@@ -86,18 +86,27 @@ pub(super) fn assemble(layout: &Layout, mut source: Source, options: &LoadOption
     }
     let background = match options.background {
         Some(background) => background,
-        None if source.format == Format::Blender && has_alpha => [1.0; 3],
+        None if source.format == Format::Blender && !with_alpha.is_empty() => [1.0; 3],
         None => [0.0; 3],
     };
     // photographs to train on come first: they are needed more often
     let frames: Vec<&Frame> =
         [Split::Train, Split::Test].into_iter().flat_map(|split| frames_of(&source, split)).collect();
-    let decoder = Arc::new(ImageDecoder::new(options, background));
+    // most photographs show a world, so what few leave out is no background
+    let is_rare = source.format != Format::Blender && 2 * with_alpha.len() < frames.len();
+    let alpha_masks = options.alpha_masks || is_rare;
+    let decoder = Arc::new(ImageDecoder::new(&LoadOptions { alpha_masks, ..options.clone() }, background));
     let has_masks = frames.iter().any(|frame| frame.mask.is_some());
     let (mut train, spare_memory) = reading::views(&frames, options.memory, &decoder)?;
     let read: HashSet<String> = train.iter().map(|view| view.name.clone()).collect();
     let left_out = |frame: &&mut Frame| !read.contains(&frame.name);
     source.frames.iter_mut().filter(left_out).for_each(|frame| frame.split = Split::Neither);
+    let hides = |view: &&View| with_alpha.contains(&view.name) && view.photograph.ignored_pixels() > Some(0);
+    let cut_out: Vec<&str> = train.iter().filter(hides).map(|view| &*view.name).collect();
+    if is_rare && !options.alpha_masks {
+        let what = "photographs have alpha where most have none, and what is transparent there does not count";
+        notices.add_names(Kind::Changed, what, &cut_out, "remove it, or cut out the object in all photographs");
+    }
     let test = train.split_off(frames_of(&source, Split::Train).count());
     let masked = Masked::of(train.iter().chain(&test));
     if has_masks && masked.ignored_pixels == 0 {
@@ -165,11 +174,11 @@ fn check_cameras(source: &Source, near: f64) -> Result<()> {
 }
 
 /// Looks at the headers of all pictures, whether they fit their cameras as they are stored, and whether they are whole. Returns
-/// whether one has alpha.
-fn look_at(source: &mut Source) -> Result<bool> {
+/// the names of the views of those with alpha.
+fn look_at(source: &mut Source) -> Result<HashSet<String>> {
     let frames: Vec<&mut Frame> = source.frames.iter_mut().filter(|frame| frame.split != Split::Neither).collect();
     let headers: Vec<Result<codec::Header>> = frames.par_iter().map(|frame| codec::header(&frame.image)).collect();
-    let (mut turned, mut deep, mut has_alpha) = (Vec::new(), Vec::new(), false);
+    let (mut turned, mut deep, mut with_alpha) = (Vec::new(), Vec::new(), HashSet::new());
     let headers = headers.into_iter().collect::<Result<Vec<codec::Header>>>()?;
     for (frame, header) in frames.into_iter().zip(&headers) {
         let fits = |[width, height]: [usize; 2]| frame.check_aspect(&frame.image, [width, height], &[""; 2]).is_ok();
@@ -186,7 +195,7 @@ fn look_at(source: &mut Source) -> Result<bool> {
             _ => {}
         }
         frame.header = Some(*header);
-        has_alpha |= header.has_alpha;
+        with_alpha.extend(header.has_alpha.then(|| frame.name.clone()));
         if header.is_deep {
             deep.push(frame.image.display());
         }
@@ -197,7 +206,7 @@ fn look_at(source: &mut Source) -> Result<bool> {
     let what = "photographs are to be turned, as their EXIF says, and are not";
     let advice = "if their cameras are those of upright pictures, turn the pixels (`mogrify -auto-orient`)";
     source.notices.add_names(Kind::Orientation, what, &turned, advice);
-    Ok(has_alpha)
+    Ok(with_alpha)
 }
 
 /// `…/images/…` as `…/images_<scale>/…`, with another extension if there is none with this one.
@@ -241,7 +250,8 @@ fn check_depth(root: &Path, source: &Source) -> Result<()> {
         }
         found = true;
     }
-    if found { Ok(()) } else { Err(DatasetError::NoDepth { path: root.join(depth::FOLDER) }) }
+    let path = root.join(depth::FOLDER);
+    if found { Ok(()) } else { Err(DatasetError::NoDepth { found: listing(&path), path }) }
 }
 
 fn recentred_points(points: RawPoints, frames: &[Frame], offset: DVec3) -> PointCloud {
@@ -317,6 +327,29 @@ mod tests {
         fixtures::save(&folder.path().join("images_2").join(file), image::RgbImage::new(12, 8));
         let data = load(folder.path(), &options).unwrap();
         assert_eq!((data.train.len() + data.test.len(), said(&data)), (9, String::new()));
+    }
+
+    #[test]
+    fn alpha_of_few_photographs_says_what_does_not_count_and_that_of_all_is_a_matte() {
+        let scene = fixtures::scene(9);
+        let folder = colmap_folder(&scene, Encoding::Text);
+        let cut_out = |name: &str| {
+            let alpha = |x: u32| if x < 6 { 0 } else { 255 };
+            let image = image::RgbaImage::from_fn(24, 16, |x, _| image::Rgba([9, 9, 9, alpha(x)]));
+            fixtures::save(&folder.path().join("images").join(name), image);
+        };
+        cut_out("left/002.png");
+        let found = || {
+            let data = load(folder.path(), &LoadOptions::default()).unwrap();
+            let view = data.train.iter().find(|view| view.name == "left/002.png").unwrap();
+            let counted = view.picture().unwrap().counted.as_ref().map(|counted| [counted[5], counted[6]]);
+            (counted, view.photograph.has_transparency(), said(&data))
+        };
+        let (counted, has_transparency, said) = found();
+        assert_eq!((counted, has_transparency), (Some([false, true]), false));
+        assert_says(said, &["Changed: photographs have alpha where most have none", "(1): left/002.png"]);
+        scene.images.iter().for_each(|image| cut_out(&image.name));
+        assert_eq!(found(), (None, true, String::new()));
     }
 
     #[test]

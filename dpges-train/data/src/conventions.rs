@@ -1,5 +1,6 @@
 //! File kinds by name and first bytes: the conventions of the programs that write them.
 
+use super::error::text_of;
 use super::key::{extension, parent, stem};
 
 /// Extensions of pictures that are read.
@@ -110,7 +111,7 @@ pub fn is_companion(key: &str) -> bool {
 }
 
 /// Extensions of files, what they say, and the program that keeps its cameras so.
-const CAMERAS: [(&str, &str, &str); 17] = [
+const CAMERAS: [(&str, &str, &str); 16] = [
     ("json", "\"transform_matrix\"", "transforms under another name"),
     ("json", "\"img_name\"", "3DGS"),
     ("json", "\"shots\"", "OpenSfM"),
@@ -121,7 +122,6 @@ const CAMERAS: [(&str, &str, &str); 17] = [
     ("xml", "<chunk", "Metashape"),
     ("xml", "<BlocksExchange", "ContextCapture"),
     ("xmp", "xcr:", "RealityScan"),
-    ("csv", "#name", "RealityScan"),
     ("out", "# Bundle file", "Bundler"),
     ("nvm", "NVM_V3", "VisualSFM"),
     ("npy", ", 17)", "LLFF"),
@@ -136,12 +136,34 @@ pub const CLOUDS: [&str; 6] = ["points3d", "sparse_pc", "points", "pointcloud", 
 
 /// Extensions of files that may hold cameras.
 pub fn may_hold_cameras(key: &str) -> bool {
-    CAMERAS.iter().any(|(of, ..)| *of == extension(key))
+    extension(key) == "csv" || CAMERAS.iter().any(|(of, ..)| *of == extension(key))
+}
+
+/// Columns that a table of RealityScan's cameras has.
+pub const OF_REALITYSCAN: [&str; 8] = ["name", "x", "y", "alt", "heading", "pitch", "roll", "f"];
+
+/// The columns of a table, in small letters, and what parts them, if a line is the head of one of RealityScan: as it writes it, with
+/// `#name` first, or as a spreadsheet saves it again.
+pub fn columns_of_realityscan(line: &str) -> Option<(Vec<String>, char)> {
+    let part = [',', ';', '\t'].into_iter().max_by_key(|&part| (line.matches(part).count(), part == ','))?;
+    let plain = |column: &str| column.trim_matches(['#', '"', ' ', '\r']).to_lowercase();
+    let columns: Vec<String> = line.split(part).map(plain).collect();
+    let has = |name: &str| columns.iter().any(|column| column == name);
+    let is_its_own = columns[0] == "name" && line.trim_start_matches(['"', ' ']).starts_with('#');
+    (is_its_own || OF_REALITYSCAN.into_iter().all(has)).then_some((columns, part))
 }
 
 /// The program whose cameras a file holds, by its extension and its beginning.
 pub fn cameras_of(key: &str, beginning: &[u8]) -> Option<&'static str> {
-    let text = String::from_utf8_lossy(beginning);
+    let text = text_of(beginning);
+    if extension(key) == "csv" {
+        return text.lines().find_map(columns_of_realityscan).map(|_| "RealityScan");
+    }
+    // lists of reconstructions, of which there may be none; the shots may come behind many points
+    let is_list = extension(key) == "json" && text.trim_start().starts_with('[');
+    if is_list && (text.contains("\"projection_type\"") || stem(parent(key).1) == "reconstruction") {
+        return Some("OpenSfM");
+    }
     let holds = |(of, words, _): &&(&str, &str, &str)| *of == extension(key) && text.contains(words);
     CAMERAS.iter().find(holds).map(|&(.., program)| program)
 }

@@ -102,8 +102,11 @@ pub enum DatasetError {
         camera: [usize; 2],
         described_in: PathBuf,
     },
-    #[error("{path} has no depth maps; set `data.depth` = \"none\" to train without them")]
-    NoDepth { path: PathBuf },
+    #[error(
+        "{path} has no depth maps, but {found}; write them as grey PNGs of 16 bits that are called like photographs, or set \
+         `data.depth` = \"none\" to train without them"
+    )]
+    NoDepth { path: PathBuf, found: String },
     #[error("depth map {path} is an image of type {found}, expected {expected}; export it again")]
     DepthType { path: PathBuf, found: String, expected: &'static str },
     #[error("folder {path} is missing, there are {available}; use an image scale that exists, or cap the resolution")]
@@ -177,16 +180,20 @@ pub(super) fn unreadable(path: &Path) -> impl FnOnce(std::io::Error) -> DatasetE
 /// # Errors
 /// [`DatasetError::Read`].
 pub(super) fn read_text(path: &Path) -> Result<String> {
-    let bytes = read(path)?;
+    Ok(text_of(&read(path)?))
+}
+
+/// The text of `bytes` in UTF-8, or in UTF-16 with its mark.
+pub(super) fn text_of(bytes: &[u8]) -> String {
     let of_utf16 = |of: fn([u8; 2]) -> u16| {
         String::from_utf16_lossy(&bytes[2..].as_chunks::<2>().0.iter().map(|&pair| of(pair)).collect::<Vec<u16>>())
     };
-    Ok(match bytes.as_slice() {
+    match bytes {
         [0xff, 0xfe, ..] => of_utf16(u16::from_le_bytes),
         [0xfe, 0xff, ..] => of_utf16(u16::from_be_bytes),
         [0xef, 0xbb, 0xbf, text @ ..] => String::from_utf8_lossy(text).into_owned(),
         text => String::from_utf8_lossy(text).into_owned(),
-    })
+    }
 }
 
 /// The bytes of a file.

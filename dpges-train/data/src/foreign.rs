@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::Format;
 use super::conventions;
+use super::error::text_of;
 use super::folder::Folder;
 use super::key::{extension, key, parent, stem};
 
@@ -60,7 +61,7 @@ pub fn format_of(path: &Path) -> Option<Format> {
     let program = conventions::cameras_of(&key, &bytes)?;
     let (_, format) = READ.into_iter().find(|(name, _)| *name == program)?;
     // other files of OpenSfM are no lists of reconstructions
-    (format != Format::OpenSfm || bytes.trim_ascii_start().starts_with(b"[")).then_some(format)
+    (format != Format::OpenSfm || text_of(&bytes).trim_start().starts_with('[')).then_some(format)
 }
 
 /// The cameras in a folder, outside the places that are `apart`, which are read though they are those of another program: their

@@ -44,7 +44,7 @@ fn there(pointer: *mut u8, bytes: usize) -> *mut u8 {
 fn end(reason: impl Display) -> ! {
     let _ = writeln!(
         std::io::stderr(),
-        "  × there is too little memory: {reason}\n  help: smaller pictures (--max-resolution), fewer primitives (--budget) and less \
+        "  × there is too little memory: {reason}\n  help: smaller pictures (--max-resolution, --size of pictures to draw), fewer primitives (--budget) and less \
          room for photographs (--set data.memory=100MB) need less; a run goes on from its last checkpoint with --resume"
     );
     #[cfg(unix)]

@@ -58,10 +58,14 @@ const OF_STAGE: [&str; 4] = [".safetensors", ".json", "_exposure.json", "_poses.
 /// Why a folder cannot be used for a run.
 #[derive(Debug, thiserror::Error)]
 pub enum RunFolderError {
-    #[error("{path} holds another run ({found})")]
+    #[error(
+        "{path} holds another run ({found}): go on with it (--resume), replace it (--overwrite), or name another --out"
+    )]
     Used { path: PathBuf, found: String },
     #[error("{path} holds no run to resume: {missing} is missing")]
     NoCheckpoint { path: PathBuf, missing: PathBuf },
+    #[error("the run in {path} ended before its first checkpoint: replace it (--overwrite), or name another --out")]
+    Begun { path: PathBuf },
     #[error("{path} does not say what it was trained on: {reason}")]
     Origin { path: PathBuf, reason: String },
     #[error(
@@ -215,8 +219,11 @@ impl RunFolder {
     /// Checks that the folder holds no file of a run.
     ///
     /// # Errors
-    /// [`RunFolderError::Used`] names the first one found.
+    /// [`RunFolderError::Used`] names the first one found, [`RunFolderError::Begun`] says that they are of no use.
     pub fn check_unused(&self) -> Result<(), RunFolderError> {
+        if let Err(begun @ RunFolderError::Begun { .. }) = self.check_resumable() {
+            return Err(begun);
+        }
         match files().find(|file| self.path.join(file).exists()) {
             Some(found) => Err(RunFolderError::Used { path: self.path.clone(), found }),
             None => Ok(()),
@@ -226,12 +233,17 @@ impl RunFolder {
     /// Checks that there is a checkpoint.
     ///
     /// # Errors
-    /// [`RunFolderError::NoCheckpoint`] if there is none.
+    /// [`RunFolderError::Begun`] if a run has not got that far, [`RunFolderError::NoCheckpoint`] if there is none.
     pub fn check_resumable(&self) -> Result<(), RunFolderError> {
         if self.has_checkpoint() {
             return Ok(());
         }
-        Err(RunFolderError::NoCheckpoint { path: self.path.clone(), missing: self.checkpoint() })
+        let path = self.path.clone();
+        Err(if self.origin().is_file() && !self.scene().is_file() {
+            RunFolderError::Begun { path }
+        } else {
+            RunFolderError::NoCheckpoint { path, missing: self.checkpoint() }
+        })
     }
 
     /// Whether there is a checkpoint.
@@ -387,6 +399,10 @@ mod tests {
         run.start(&origin, &Config::default()).unwrap();
         assert_eq!(run.read_origin().unwrap(), origin);
         assert_eq!(Config::resolve(None, Some(&run.config()), &[]).unwrap(), Config::default());
+        for error in [run.check_unused(), run.check_resumable()] {
+            assert!(matches!(error, Err(RunFolderError::Begun { .. })), "{error:?}");
+        }
+        std::fs::write(run.checkpoint(), "old").unwrap();
         assert!(run.check_unused().unwrap_err().to_string().contains("config.toml"));
         let notes = run.path().join("notes.md");
         for path in [run.checkpoint(), run.picture(5, "a"), notes.clone()] {

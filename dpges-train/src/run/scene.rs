@@ -119,7 +119,11 @@ impl Scene {
     /// # Errors
     /// [`SceneError::Absent`].
     pub fn check(path: &Path) -> Result<PathBuf> {
-        let path = if path.is_dir() { RunFolder::new(path).scene() } else { path.to_owned() };
+        let in_folder = || {
+            let (scene, sog) = (RunFolder::new(path).scene(), path.join("meta.json"));
+            if !scene.is_file() && sog.is_file() { sog } else { scene }
+        };
+        let path = if path.is_dir() { in_folder() } else { path.to_owned() };
         if path.is_file() {
             return Ok(path);
         }

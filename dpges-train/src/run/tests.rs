@@ -369,6 +369,12 @@ fn errors_say_which_part_failed() {
     let folder = || RunFolder::new(at.path().join("run"));
     let no_checkpoint = error(SavedRun::open(folder()));
     assert!(matches!(no_checkpoint, RunError::Folder(RunFolderError::NoCheckpoint { .. })), "{no_checkpoint}");
+    // killed before there is a checkpoint
+    folder().start(&Origin::new("builtin", "cpu"), &Config::with(&SHORT).unwrap()).unwrap();
+    for begun in [error(SavedRun::open(folder())), RunError::Folder(folder().check_unused().unwrap_err())] {
+        assert!(matches!(begun, RunError::Folder(RunFolderError::Begun { .. })), "{begun}");
+    }
+    std::fs::remove_dir_all(folder().path()).unwrap();
     in_folder(&SHORT, folder().path()).train(&mut ()).unwrap();
     let used = error(run(&SHORT).write_to(folder(), Origin::new("builtin", "cpu")));
     assert!(matches!(used, RunError::Folder(RunFolderError::Used { .. })), "{used}");

@@ -10,6 +10,8 @@ use crate::dataset::{Dataset, DepthKind, DepthMap, View};
 
 /// Fewest points of the dataset that give a relative map its scale and shift. Otherwise the render does.
 const FEWEST_POINTS: usize = 16;
+/// Factor up to which metric depths may differ from those of points in the median.
+const SAME_UNIT: f64 = 1.5;
 /// Variance up to which relative values, which reach 1, are all the same: no line through them means anything.
 const FLAT: f64 = 1e-8;
 
@@ -60,7 +62,11 @@ impl DepthMaps {
                 empty.len()
             );
         }
-        let fits: Vec<Option<[f64; 2]>> = pairs(dataset).iter().map(|pairs| rising_line(pairs)).collect();
+        let pairs = pairs(dataset);
+        contradictions(dataset, &pairs).iter().for_each(|found| tracing::warn!("{found} (data.depth)"));
+        let is_relative = |view: &View| view.depth.as_ref().is_some_and(|map| map.kind == DepthKind::Relative);
+        let of_view = |(view, pairs): (&View, &Vec<[f64; 2]>)| is_relative(view).then(|| rising_line(pairs)).flatten();
+        let fits: Vec<Option<[f64; 2]>> = dataset.train.iter().zip(&pairs).map(of_view).collect();
         let views = dataset.train.len();
         if relative > 0 {
             let by_points = fits.iter().flatten().count();
@@ -102,14 +108,44 @@ fn empty(dataset: &Dataset) -> Vec<&str> {
     dataset.train.iter().filter(is_empty).map(|view| view.name.as_str()).collect()
 }
 
-/// For each training view the values of its relative map at points of `dataset` that it saw, and their disparities.
+/// Sentences about maps in other units than the points of the dataset, or that are larger where these are farther away.
+fn contradictions(dataset: &Dataset, pairs: &[Vec<[f64; 2]>]) -> Vec<String> {
+    let of_kind = |wanted: DepthKind| {
+        let views = dataset.train.iter().zip(pairs);
+        views.filter(move |(view, _)| view.depth.as_ref().is_some_and(|map| map.kind == wanted)).map(|(_, pairs)| pairs)
+    };
+    let mut found = Vec::new();
+    let mut ratios: Vec<f64> =
+        of_kind(DepthKind::Metric).flatten().map(|[depth, disparity]| depth * disparity).collect();
+    if ratios.len() >= FEWEST_POINTS {
+        let middle = ratios.len() / 2;
+        let (_, &mut ratio, _) = ratios.select_nth_unstable_by(middle, f64::total_cmp);
+        if !(1.0 / SAME_UNIT..=SAME_UNIT).contains(&ratio) {
+            found.push(format!(
+                "depth maps are {ratio:.3} times as far, in the median, as the points of the dataset: are they depths, not \
+                 their inverses, and in its units (`depth_unit_scale_factor`)?"
+            ));
+        }
+    }
+    let judged: Vec<_> = of_kind(DepthKind::Relative).filter(|pairs| pairs.len() >= FEWEST_POINTS).collect();
+    let falling = judged.iter().filter(|pairs| rising_line(pairs).is_none()).count();
+    if 2 * falling > judged.len() {
+        found.push(format!(
+            "{falling} of {} depth maps are not larger where points of the dataset are nearer: turn them round, near is white",
+            judged.len()
+        ));
+    }
+    found
+}
+
+/// For each training view the values of its map at points of `dataset` that it saw, and their disparities.
 fn pairs(dataset: &Dataset) -> Vec<Vec<[f64; 2]>> {
     let mut pairs = vec![Vec::new(); dataset.train.len()];
     for (position, seen_by) in dataset.points.positions.iter().zip(dataset.points.seen_by.iter()) {
         let world = Vec3::from_array(*position).as_dvec3();
         for &view in seen_by {
             let View { camera, depth, .. } = &dataset.train[view as usize];
-            let Some(map) = depth.as_ref().filter(|map| map.kind == DepthKind::Relative) else { continue };
+            let Some(map) = depth else { continue };
             let Some((pixel, z)) = camera.pixel(world) else { continue };
             pairs[view as usize].extend(map.value(pixel).map(|value| [value, z.recip()]));
         }
@@ -161,6 +197,26 @@ mod tests {
             assert!(maps.0[view].is_some());
             let error = median_error(&dataset, &maps.disparities(map, view), view);
             assert!(error < 0.05, "view {view}: {error}");
+        }
+    }
+
+    #[test]
+    fn maps_that_contradict_the_points_are_said() {
+        for (kind, said) in
+            [(DepthKind::Metric, "0.100 times as far"), (DepthKind::Relative, "3 of 3 depth maps are not larger")]
+        {
+            let mut dataset = dataset(kind);
+            let found = |dataset: &Dataset| contradictions(dataset, &pairs(dataset));
+            assert_eq!(found(&dataset), [""; 0]);
+            for map in dataset.train.iter_mut().map(|view| view.depth.as_mut().unwrap()) {
+                if kind == DepthKind::Metric {
+                    map.step *= 0.1;
+                } else {
+                    map.steps = map.steps.iter().map(|&steps| u16::MAX - steps).collect();
+                }
+            }
+            let found = found(&dataset);
+            assert!(found.len() == 1 && found[0].contains(said), "{found:?}");
         }
     }
 

@@ -1,5 +1,5 @@
 //! Splats in a SOG file of version 2 (PlayCanvas): quantised, in lossless WebP pictures with a pixel per splat, from the top
-//! left, row by row. The bundled file is a zip archive of the pictures and `meta.json`.
+//! left, row by row. The bundled file is a zip archive of the pictures and `meta.json`, which may also lie in a folder.
 //!
 //! | picture | red, green, blue | alpha |
 //! |---|---|---|
@@ -16,6 +16,8 @@ mod codebook;
 mod palette;
 mod pixels;
 mod streamed;
+
+use std::path::Path;
 
 use dpges_core::scene::{Rendering, SceneInfo, ScreenFilter, along_morton_curve};
 use serde::{Deserialize, Serialize};
@@ -192,12 +194,35 @@ fn opaque([red, green, blue]: [u8; 3]) -> [u8; 4] {
 pub(super) fn read(bytes: &[u8]) -> Result<(SplatCloud, Notes), String> {
     let mut archive = Archive::new(bytes)?;
     let meta = archive.file(META).map_err(|reason| format!("{reason}: of zip archives, only bundled SOG is read"))?;
+    read_files(&meta, |name| archive.file(name))
+}
+
+/// Whether these are the bytes of a `meta.json` beside its pictures.
+pub(super) fn is_meta(bytes: &[u8]) -> bool {
+    let keys: Option<serde_json::Map<String, serde_json::Value>> = serde_json::from_slice(bytes).ok();
+    keys.is_some_and(|keys| ["means", "scales", "quats", "sh0"].iter().all(|key| keys.contains_key(*key)))
+}
+
+/// The splats of a `meta.json` with its pictures in `folder`.
+pub(super) fn read_unbundled(meta: &[u8], folder: &Path) -> Result<(SplatCloud, Notes), String> {
+    read_files(meta, |name| {
+        let plain = Path::new(name).file_name().filter(|plain| *plain == name);
+        let path = folder.join(plain.ok_or_else(|| format!("`{name}` is no name of a file beside it"))?);
+        std::fs::read(&path).map_err(|error| format!("cannot read {}: {error}", path.display()))
+    })
+}
+
+/// The splats of a `meta.json` and the pictures that `file` has by their names.
+fn read_files(
+    meta: &[u8],
+    mut file: impl FnMut(&str) -> Result<Vec<u8>, String>,
+) -> Result<(SplatCloud, Notes), String> {
     let wrong = |error: serde_json::Error| format!("its {META} is not that of SOG of version {VERSION} ({error})");
-    let meta: Meta = serde_json::from_slice(&meta).map_err(wrong)?;
+    let meta: Meta = serde_json::from_slice(meta).map_err(wrong)?;
     if meta.version != VERSION {
         return Err(format!("it has version {}, expected {VERSION}", meta.version));
     }
-    let mut pixels = |name: &String| Pixels::from_webp(&archive.file(name)?, name);
+    let mut pixels = |name: &String| Pixels::from_webp(&file(name)?, name);
     let count = meta.count;
     let mut per_splat = |name: &String| pixels(name)?.take(count, name);
     let [low, high] = [per_splat(&meta.means.files[0])?, per_splat(&meta.means.files[1])?];

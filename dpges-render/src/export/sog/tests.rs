@@ -37,6 +37,22 @@ fn splats_come_back_within_their_steps() {
 }
 
 #[test]
+fn files_in_a_folder_are_read_as_those_of_an_archive() {
+    let (cloud, bundled) = written(sample(30, 1));
+    let folder = tempfile::tempdir().unwrap();
+    let files = files(&cloud);
+    files.iter().for_each(|(name, bytes)| std::fs::write(folder.path().join(name), bytes).unwrap());
+    let meta = &files.iter().find(|(name, _)| name == META).unwrap().1;
+    assert!(is_meta(meta) && !is_meta(b"{\"asset\": {}, \"scenes\": []}"));
+    let (read, _) = read_unbundled(meta, folder.path()).unwrap();
+    assert_eq!((read.positions, read.harmonics), (bundled.positions, bundled.harmonics));
+    let elsewhere = String::from_utf8(meta.clone()).unwrap().replace("quats.webp", "../quats.webp");
+    assert!(read_unbundled(elsewhere.as_bytes(), folder.path()).unwrap_err().contains("`../quats.webp` is no name"));
+    std::fs::remove_file(folder.path().join("sh0.webp")).unwrap();
+    assert!(read_unbundled(meta, folder.path()).unwrap_err().contains("sh0.webp"));
+}
+
+#[test]
 fn pixels_and_the_document_are_those_of_the_format() {
     let mut cloud = sample(3, 1);
     cloud.positions = vec![[0.0, 0.0, 5.0], [1.0, -2.0, 5.0], [3.0, 0.5, 5.0]];

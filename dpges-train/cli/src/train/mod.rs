@@ -147,9 +147,7 @@ impl TrainArgs {
         let folder = self.folder();
         let ranks = Arc::clone(&job.ranks);
         if !self.overwrite && ranks.is_first() {
-            folder.check_unused().map_err(|error| {
-                Failure::with_help(error, "go on with it (--resume), replace it (--overwrite), or name another --out")
-            })?;
+            folder.check_unused().map_err(RunError::Folder)?;
         }
         let folder = if ranks.is_first() { folder.held()? } else { folder };
         let device = device_choice::select(self.device.unwrap_or_default())?;

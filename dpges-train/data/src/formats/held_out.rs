@@ -38,7 +38,9 @@ impl Named {
     /// Without the `dropped` first folders of its path.
     fn view(&self, name: &str, dropped: usize) -> Option<usize> {
         let name = name.split('/').skip(dropped).collect::<Vec<_>>().join("/");
-        self.0.get(&name).or_else(|| self.0.get(&subject(&name))).copied()
+        // photographs may have other extensions than the list, or none
+        let forms = [name.clone(), subject(&name), stem(&name).to_owned(), stem(&subject(&name)).to_owned()];
+        forms.iter().find_map(|form| self.0.get(form)).copied()
     }
 
     /// The views of a list, which may have been written on another machine, below other folders.
@@ -53,16 +55,18 @@ impl Named {
 
 /// The split that `train.txt` and `test.txt` (one image name a line, `#` comments) in the first of `folders` with either ask for,
 /// or `None` where no folder has one. A view in neither list is left out, or trains where there is no `train.txt`. Names may be
-/// those of another machine, and lack their folder `images` and their extension; those of no view are said, and a file without
-/// any other is none.
+/// those of another machine, lack their folder `images`, and have another extension or none; those of no view are said, and a file
+/// without any other is none.
 ///
 /// # Errors
 /// [`crate::DatasetError::Read`].
 pub(super) fn from_lists(folders: &[&Path], names: &[&str], source: &mut Source) -> Result<Option<Vec<Split>>> {
     let named = Named::new(names.iter().copied());
-    for folder in folders {
-        let train = list(&folder.join("train.txt"), &named, source)?;
-        let test = list(&folder.join("test.txt"), &named, source)?;
+    for folder in
+        folders.iter().enumerate().filter(|&(at, folder)| !folders[..at].contains(folder)).map(|(_, folder)| folder)
+    {
+        let [train, test] = ["train.txt", "test.txt"].map(|name| list(&folder.join(name), &named, names, source));
+        let (train, test) = (train?, test?);
         if train.is_none() && test.is_none() {
             continue;
         }
@@ -79,7 +83,7 @@ pub(super) fn from_lists(folders: &[&Path], names: &[&str], source: &mut Source)
 }
 
 /// The views that the file at `path` lists, if it is such a list.
-fn list(path: &Path, named: &Named, source: &mut Source) -> Result<Option<BTreeSet<usize>>> {
+fn list(path: &Path, named: &Named, names: &[&str], source: &mut Source) -> Result<Option<BTreeSet<usize>>> {
     if !path.is_file() {
         return Ok(None);
     }
@@ -90,8 +94,12 @@ fn list(path: &Path, named: &Named, source: &mut Source) -> Result<Option<BTreeS
     let views = named.views(&lines);
     if let Some(first) = lines.first().filter(|_| views.iter().all(Option::is_none)) {
         let first: String = first.chars().take(SHOWN).collect();
-        let message = format!("{} is not used: no line of it is the name of a view, from `{first}` on", path.display());
-        source.notices.add(Kind::Unused, message, "write one name a line, or remove the file");
+        let view = names.first().unwrap_or(&"");
+        let message = format!(
+            "{} is not used: no line of it, from `{first}` on, is the name of a view, such as `{view}`",
+            path.display()
+        );
+        source.notices.add(Kind::Unused, message, "write one such name a line, or remove the file");
         return Ok(None);
     }
     let strangers: Vec<&str> =
@@ -124,9 +132,25 @@ mod tests {
         std::fs::write(folder.path().join("test.txt"), b"\xef\xbb\xbfimages\\sub\\B\nc.jpg\nd.png\n").unwrap();
         let mut said = source();
         let found = from_lists(&[folder.path()], &names, &mut said).unwrap().unwrap();
-        assert_eq!(found, [Split::Neither, Split::Test, Split::Train]);
+        assert_eq!(found, [Split::Neither, Split::Test, Split::Test]);
         let [notice] = said.notices.0.as_slice() else { panic!("{:?}", said.notices) };
-        assert!(notice.message.ends_with("test.txt are those of no view (2): c.jpg, d.png"), "{notice:?}");
+        assert!(notice.message.ends_with("test.txt are those of no view (1): d.png"), "{notice:?}");
+    }
+
+    #[test]
+    fn views_without_extensions_are_in_lists_with_them() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("test.txt"), "C:\\proj\\images\\v1.2.jpg\n").unwrap();
+        let mut source = Source::new(Format::Metashape, folder.path().to_owned(), "");
+        let names = ["v1.1", "v1.2", "v1.3"];
+        // a folder of cameras may be that of the dataset
+        let found = from_lists(&[folder.path(), folder.path()], &names, &mut source).unwrap().unwrap();
+        assert_eq!((found[1], source.notices.0.len()), (Split::Test, 0));
+        assert_eq!(found.iter().filter(|&&split| split == Split::Test).count(), 1);
+        std::fs::write(folder.path().join("test.txt"), "9\n").unwrap();
+        assert_eq!(from_lists(&[folder.path(), folder.path()], &names, &mut source).unwrap(), None);
+        let [notice] = source.notices.0.as_slice() else { panic!("{:?}", source.notices) };
+        assert_says(notice, &["from `9` on", "such as `v1.1`"]);
     }
 
     #[test]

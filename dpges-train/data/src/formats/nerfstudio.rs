@@ -9,7 +9,7 @@ use super::held_out::{self, Named};
 use super::ply;
 use super::source::{Source, Split};
 use super::transforms::{Transforms, read_transforms};
-use crate::error::Result;
+use crate::error::{DatasetError, Result};
 use crate::finding::Kind;
 use crate::key::{key, parent};
 use crate::layout::Layout;
@@ -35,7 +35,7 @@ pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, optio
         })
     };
     if transforms.listed().iter().any(|list| list.is_some()) {
-        split_as_listed(&transforms, train, layout, &mut source);
+        split_as_listed(&transforms, train, layout, &mut source)?;
     } else if let Some((frames, path)) = apart()? {
         frames.add_frames(folder, path, Split::Test, &mut source)?;
         // a view that is in both is held out
@@ -68,19 +68,30 @@ pub(crate) fn read(layout: &Layout, train: &Path, held_out: Option<&Path>, optio
 
 /// Splits the frames by `train_filenames`, `test_filenames` and `val_filenames`. Frames in none of them are omitted, or are
 /// training frames if there is no `train_filenames`. Says which names are those of no frame.
-fn split_as_listed(transforms: &Transforms, path: &Path, layout: &Layout, source: &mut Source) {
+///
+/// # Errors
+/// [`DatasetError::Malformed`] for a list of names none of which is that of a frame.
+fn split_as_listed(transforms: &Transforms, path: &Path, layout: &Layout, source: &mut Source) -> Result<()> {
     let missing: Vec<String> = source.missing.iter().map(|path| layout.folder.key_of(path)).collect();
     let names = source.frames.iter().map(|frame| &frame.name).chain(&missing);
     let named = Named::new(names.map(String::as_str));
     let mut strangers = Vec::new();
-    let mut set = |names: &Option<Vec<String>>| -> Option<BTreeSet<usize>> {
-        let names: Vec<&str> = names.as_ref()?.iter().map(String::as_str).collect();
+    let view = source.frames.first().map_or("", |frame| &frame.name);
+    let mut set = |list: &str, names: &Option<Vec<String>>| -> Result<Option<BTreeSet<usize>>> {
+        let Some(names) = names else { return Ok(None) };
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let views = named.views(&names);
+        if let Some(first) = names.first().filter(|_| views.iter().all(Option::is_none)) {
+            let found = format!("`{first}` and others, none of which is the name of a view");
+            return Err(DatasetError::malformed(path, format!("`{list}`"), found, format!("names such as `{view}`")));
+        }
         strangers
             .extend(names.iter().zip(&views).filter(|(_, view)| view.is_none()).map(|(name, _)| (*name).to_owned()));
-        Some(views.into_iter().flatten().collect())
+        Ok(Some(views.into_iter().flatten().collect()))
     };
-    let [train, test, val] = transforms.listed().map(&mut set);
+    let [train, test, val] = transforms.listed();
+    let train = set("train_filenames", train)?;
+    let (test, val) = (set("test_filenames", test)?, set("val_filenames", val)?);
     let (held_out, unused) = if test.is_some() { (test, val) } else { (val, None) };
     let within = |set: &Option<BTreeSet<usize>>, frame: usize| set.as_ref().is_some_and(|set| set.contains(&frame));
     for (index, frame) in source.frames.iter_mut().enumerate() {
@@ -94,6 +105,7 @@ fn split_as_listed(transforms: &Transforms, path: &Path, layout: &Layout, source
     }
     let what = format!("names in the lists of {} are those of no view", path.display());
     source.notices.add_names(Kind::Missing, &what, &strangers, "correct or remove them");
+    Ok(())
 }
 
 #[cfg(test)]
@@ -216,7 +228,13 @@ mod tests {
         write("transforms.json", &format!("{GLOBAL}{lists}"), &frames);
         assert_eq!(sizes(), (2, "02".to_owned()));
         write("transforms.json", &format!(r#"{GLOBAL}, "test_filenames": ["gone.png"]"#), &frames);
-        assert_refused(folder.path(), &LoadOptions::default(), &["transforms.json: no test views"]);
+        assert_refused(
+            folder.path(),
+            &LoadOptions::default(),
+            &["transforms.json", "`test_filenames`", "`gone.png`", "`images/00.png`"],
+        );
+        write("transforms.json", &format!(r#"{GLOBAL}, "train_filenames": ["gone.png"]"#), &frames);
+        assert_refused(folder.path(), &LoadOptions::default(), &["transforms.json", "`train_filenames`", "`gone.png`"]);
     }
 
     #[test]

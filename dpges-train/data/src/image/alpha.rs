@@ -29,8 +29,8 @@ impl Alpha {
         match self {
             Self::Mask => {
                 let bytes = pixels.iter().flat_map(|&[red, green, blue, _]| [red, green, blue]).collect();
-                let counted = pixels.iter().map(|&[.., alpha]| alpha >= COUNTS).collect();
-                Picture { width, height, bytes, alpha: None, counted: Some(counted) }
+                let counted: Vec<bool> = pixels.iter().map(|&[.., alpha]| alpha >= COUNTS).collect();
+                Picture { width, height, bytes, alpha: None, counted: Some(counted).filter(|all| all.contains(&false)) }
             }
             Self::Matte(background) => {
                 let composited = |&[colour @ .., alpha]: &[u8; 4]| -> [u8; 3] {

@@ -63,19 +63,20 @@ pub(crate) fn find(frame: &Frame, masks: &Companions<'_>, is_scaled: bool) -> Re
     }
 }
 
-/// Which pixels of a picture count by the mask in file `path`, [height × width]: those that are not black, or, if it is
-/// `inverted`, those that are. `image` is the file of the picture, `width` × `height` px.
+/// Which pixels of a picture count by the mask in file `path`, [height × width]: those that are neither black nor transparent,
+/// or, if it is `inverted`, those that are. `image` is the file of the picture, `width` × `height` px.
 ///
 /// # Errors
 /// [`DatasetError::MaskSize`] if the sizes differ, [`DatasetError::Read`], [`DatasetError::Decode`].
 pub(crate) fn read(path: &Path, image: &Path, [width, height]: [usize; 2], inverted: bool) -> Result<Vec<bool>> {
-    let mask = codec::decoded(path)?.into_luma16();
+    let mask = codec::decoded(path)?.into_luma_alpha16();
     let found = [mask.width() as usize, mask.height() as usize];
     if found != [width, height] {
         let (mask, image) = (path.to_owned(), image.to_owned());
         return Err(DatasetError::MaskSize { mask, found, image, expected: [width, height] });
     }
-    Ok(mask.pixels().map(|pixel| (pixel.0[0] > 0) != inverted).collect())
+    let counts = |[luma, alpha]: [u16; 2]| luma > 0 && alpha > 0;
+    Ok(mask.pixels().map(|pixel| counts(pixel.0) != inverted).collect())
 }
 
 #[cfg(test)]
@@ -127,6 +128,15 @@ mod tests {
         let inverted = load(folder.path(), &LoadOptions { invert_masks: true, ..Default::default() }).unwrap();
         assert_eq!(counted(&inverted, "left/001.png"), Some(columns(24, 16, |x| x < 5)));
         assert_eq!(counted(&inverted, "left/003.png"), None);
+    }
+
+    #[test]
+    fn transparent_pixels_of_masks_are_black() {
+        let (folder, _) = written();
+        let mask = RgbaImage::from_fn(24, 16, |x, _| Rgba([255, 255, 255, if x < 7 { 0 } else { 255 }]));
+        fixtures::save(&folder.path().join("masks/left/001.png"), mask);
+        let data = load(folder.path(), &LoadOptions::default()).unwrap();
+        assert_eq!(counted(&data, "left/001.png"), Some(columns(24, 16, |x| x >= 7)));
     }
 
     #[test]

@@ -17,7 +17,7 @@ use super::layout::{Cameras, Layout};
 const OF_A_MODEL: [&str; 5] = ["cameras", "images", "points3d", "rigs", "frames"];
 
 /// Kinds of unused files, and the advice for each.
-const NOT_USED: [(Kind, &str, &str); 6] = [
+const NOT_USED: [(Kind, &str, &str); 7] = [
     (Kind::Unused, "photographs without a camera are not used", "find their cameras too, or remove them"),
     (Kind::Unused, "pictures or masks of formats that are not read", "convert them to JPEG or PNG to use them"),
     (
@@ -31,7 +31,12 @@ const NOT_USED: [(Kind, &str, &str); 6] = [
         "data.depth=metric or relative uses those in depths/ that are called like photographs",
     ),
     (Kind::Unused, "points are not used", "--points FILE (`data.points`) uses one in place of others"),
-    (Kind::Aside, "lists of views are not used", "train.txt and test.txt say which views are for what"),
+    (
+        Kind::Aside,
+        "lists of views are not used",
+        "train.txt and test.txt say which views are for what, where no other file does",
+    ),
+    (Kind::Unused, "depth maps of formats that are not read", "write them as grey PNGs of 16 bits"),
 ];
 
 /// Says of everything in the folder of a dataset that might be part of it and is not `used` that it is not, and why.
@@ -87,13 +92,14 @@ pub fn survey(layout: &Layout, source: &Source, mut used: HashSet<PathBuf>, read
         let rest = stems.range(..stem(key)).next_back().and_then(|before| stem(key).strip_prefix(before));
         rest.is_some_and(|rest| rest.starts_with(['_', '.', '-']))
     };
-    let mut found: [Vec<PathBuf>; 6] = Default::default();
+    let mut found: [Vec<PathBuf>; 7] = Default::default();
     for (key, path) in folder.files.iter().filter(|(_, path)| !used.contains(*path)) {
         let is_near = path.parent() == Some(root) || path.parent() == Some(model);
         let is_array = ARRAYS.contains(&extension(key));
         let at = match extension(key) {
             _ if is_picture(key) && MASKS.is_about(key) => 2,
             _ if is_array && MASKS.is_about(key) => 1,
+            _ if is_array && reads_depth && DEPTHS.is_about(key) => 6,
             _ if (is_array || is_picture(key)) && DEPTHS.is_about(key) => 3,
             _ if is_picture(key) => {
                 let is_alone = photographs.contains(parent(key).0) && !elsewhere.contains(key) && !belongs(key);

@@ -227,4 +227,13 @@ fn depth_maps_lists_and_pictures_of_other_formats_are_said() {
         ],
     );
     assert_eq!(data.notices.0.len(), 3);
+    std::fs::write(at.join("depth/left/002.npy"), "").unwrap();
+    let options = LoadOptions { depth: Some(crate::DepthKind::Relative), ..Default::default() };
+    std::fs::remove_file(at.join("depth/left/001.png")).unwrap();
+    assert_refused(&at, &options, &["has no depth maps", "grey PNGs of 16 bits"]);
+    fixtures::save(&at.join("depth/left/001.png"), image::ImageBuffer::from_pixel(24, 16, image::Luma([900u16])));
+    assert_says(
+        said(&load(&at, &options).unwrap()),
+        &["Unused: depth maps of formats that are not read (2): ", "depth/left/002.npy"],
+    );
 }

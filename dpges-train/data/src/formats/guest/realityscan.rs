@@ -13,9 +13,9 @@ use glam::{DMat3, DVec3};
 use roxmltree::Document;
 
 use super::{Found, Optics, by_rows, numbers, refused};
+use crate::conventions::{OF_REALITYSCAN, columns_of_realityscan};
 use crate::error::{DatasetError, Result, read_text};
 
-const NEEDED: [&str; 8] = ["name", "x", "y", "alt", "heading", "pitch", "roll", "f"];
 /// Length of the longer side of a 35 mm film, in which focal lengths are given.
 const FILM_MM: f64 = 36.0;
 const NAMESPACE: &str = "http://www.capturingreality.com/ns/xcr/1.1#";
@@ -37,10 +37,9 @@ fn optics(focal_mm: f64, centre: [f64; 2], [k1, k2, k3, k4, t1, t2]: [f64; 6]) -
 pub(super) fn read(path: &Path) -> Result<Found> {
     let text = read_text(path)?;
     let mut lines = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
-    let heads = lines.by_ref().find(|(line, _)| line.to_lowercase().replace(' ', "").starts_with("#name"));
-    let heads = heads.map(|(line, _)| line.to_lowercase().replace(['#', ' '], "")).unwrap_or_default();
-    let columns: HashMap<&str, usize> = heads.split(',').zip(0..).collect();
-    let missing: Vec<&str> = NEEDED.into_iter().filter(|name| !columns.contains_key(name)).collect();
+    let (heads, part) = lines.by_ref().find_map(|(line, _)| columns_of_realityscan(line)).unwrap_or_default();
+    let columns: HashMap<&str, usize> = heads.iter().map(String::as_str).zip(0..).collect();
+    let missing: Vec<&str> = OF_REALITYSCAN.into_iter().filter(|name| !columns.contains_key(name)).collect();
     if !missing.is_empty() {
         let expected = "those of the export \"Internal/External camera parameters\"";
         return Err(DatasetError::malformed(
@@ -52,7 +51,7 @@ pub(super) fn read(path: &Path) -> Result<Found> {
     }
     let mut found = Found::default();
     for (line, number) in lines.filter(|(line, _)| !line.starts_with('#')) {
-        let values: Vec<&str> = line.split(',').map(str::trim).collect();
+        let values: Vec<&str> = line.split(part).map(|value| value.trim().trim_matches('"')).collect();
         if values.len() != columns.len() {
             let expected = format!("{} values", columns.len());
             return Err(DatasetError::malformed(path, format!("line {number}"), format!("`{line}`"), expected));

@@ -188,7 +188,21 @@ fn realityscan_projects_as_its_documentation_says() {
     let table = format!("#cameras 1\n{COLUMNS}\n{row}\n");
     let focal = 30.0 / 36.0 * 24.0;
     // 10 before it, 1 to the south, 2 up
-    assert_projects(&[("cams.csv", &table)], [11.0, 1.0, 5.0], [12.0 + 0.1 * focal, 8.0 - 0.2 * focal]);
+    let (world, at) = ([11.0, 1.0, 5.0], [12.0 + 0.1 * focal, 8.0 - 0.2 * focal]);
+    assert_projects(&[("cams.csv", &table)], world, at);
+    // as other programs save it again
+    let [plain, spaced] = ["name", "# name"].map(|name| format!("{}\n{row}\n", COLUMNS.replace("#name", name)));
+    let quoted = format!("{}\n{row}\n", COLUMNS.replace("#name", "\"name\"")).replace("a.png", "\"a.png\"");
+    for table in [&plain, &spaced, &quoted, &plain.replace(',', ";"), &plain.replace(',', "\t")] {
+        assert_projects(&[("cams.csv", table)], world, at);
+    }
+    // a table of places is none of cameras
+    let places = dataset(&[("places.csv", "name,lat,lon,alt,heading,pitch,roll\na.png,1,2,3,4,5,6\n")]);
+    assert_eq!(crate::format(places.path()), None);
+    let folder = dataset(&[]);
+    let utf16: Vec<u8> = format!("\u{feff}{table}").encode_utf16().flat_map(u16::to_le_bytes).collect();
+    std::fs::write(folder.path().join("cams.csv"), utf16).unwrap();
+    assert_eq!(load(folder.path(), &alone()).unwrap().format, Format::RealityScan);
 
     let rotation: Vec<f64> = ROTATION.split(' ').map(|number| number.parse().unwrap()).collect();
     let rotation = DMat3::from_cols_slice(&rotation).transpose();
@@ -272,6 +286,10 @@ fn opensfm_has_the_largest_reconstruction_with_points_and_tracks() {
     }
     std::fs::write(at.join("opensfm/tracks.csv"), tracks).unwrap();
     for named in [at.to_owned(), at.join("opensfm"), path.clone()] {
+        // sorted by keys, shots come behind points
+        let sorted: serde_json::Value = serde_json::from_str(&opensfm(&scene, OF_BROWN)).unwrap();
+        let padded = sorted.to_string().replacen("\"points\"", &format!("{}\"points\"", " ".repeat(1 << 16)), 2);
+        std::fs::write(&path, padded).unwrap();
         let data = load(&named, &options()).unwrap();
         assert_eq!((data.format, &data.points), (Format::OpenSfm, &expected.points));
         assert_same(&data, &expected);
